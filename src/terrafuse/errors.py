@@ -1,0 +1,52 @@
+"""The one error hierarchy. Every message names the value and the remedy; only the command line prints."""
+
+from __future__ import annotations
+
+
+class TerrafuseError(Exception):
+    """Base of everything terrafuse raises on purpose. `exit_code` is what the command line ends with."""
+
+    exit_code = 1
+
+
+class InputError(TerrafuseError):
+    """What the user gave can't be used: a file, a record in it, an option. Nothing was written."""
+
+    exit_code = 2
+
+
+class LatticeError(InputError):
+    """A resolution, tile side or coordinate that no lattice can have."""
+
+
+class PoseError(InputError):
+    """A pose that is not a rigid motion, or a trajectory that can't be used."""
+
+
+class LogError(InputError):
+    """A recording that is missing, of no known format, or damaged. Names the file and, where known, the record."""
+
+
+class MissingExtra(InputError):
+    """An optional dependency is not installed. The message has the `pip install` line that brings it."""
+
+    def __init__(self, what: str, package: str, extra: str) -> None:
+        super().__init__(f"{what} needs the package '{package}': pip install 'terrafuse[{extra}]'")
+
+
+class CodecError(TerrafuseError):
+    """Bytes that are not a delta of a version that we read. Nothing was applied."""
+
+
+class DeltaError(TerrafuseError):
+    """A well-formed delta that does not belong here: another lattice, another model, a cell outside its tile."""
+
+
+class StoreError(TerrafuseError):
+    """The store can't be read or written."""
+
+
+class StoreMismatch(StoreError, InputError):
+    """A store that can't be used as asked: a newer schema, another lattice or model, not a store at all."""
+
+    exit_code = 2

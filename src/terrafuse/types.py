@@ -1,0 +1,146 @@
+"""Frozen values that every room shares. They know nothing of each other's rooms.
+
+Frames and units are in the names: `T_world_sensor` takes a point in the sensor's frame to the world's,
+`stamp_ns` counts nanoseconds since 1970-01-01 UTC. The world is x east, y north, z up, in metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrafuse.errors import PoseError
+
+Array = NDArray[Any]
+Floats = NDArray[np.float64]
+Stamp = int
+"""Nanoseconds since 1970-01-01 UTC."""
+
+RIGID_TOLERANCE = 1e-3
+"""How far RᵀR may be from the identity: KITTI's printed poses are off by 1e-5, a scaled or sheared matrix by far more."""
+
+
+class TileKey(NamedTuple):
+    """Which tile: `x` counts tiles east, `y` north of the world's origin; `level` 0 is the finest lattice."""
+
+    x: int
+    y: int
+    level: int = 0
+
+
+class Bounds(NamedTuple):
+    """A rectangle in world coordinates, metres."""
+
+    west: float
+    south: float
+    east: float
+    north: float
+
+    def union(self, other: Bounds) -> Bounds:
+        return Bounds(
+            min(self.west, other.west),
+            min(self.south, other.south),
+            max(self.east, other.east),
+            max(self.north, other.north),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A rigid motion as a 4×4 float64 matrix; `T_a_b` takes points of frame b to frame a.
+
+    Build one with `pose(...)` or `Pose.from_quaternion(...)`, which check; the bare constructor trusts its argument.
+    """
+
+    matrix: Floats
+
+    @property
+    def position(self) -> Floats:
+        return self.matrix[:3, 3]
+
+    def __matmul__(self, other: Pose) -> Pose:
+        return Pose(self.matrix @ other.matrix)
+
+    def inverse(self) -> Pose:
+        rotation = self.matrix[:3, :3].T
+        return pose_of(rotation, -rotation @ self.position)
+
+    def shifted(self, east_m: float, north_m: float, up_m: float = 0.0) -> Pose:
+        """The same pose in a world whose origin lies at (-east, -north, -up) of this one."""
+        matrix = self.matrix.copy()
+        matrix[:3, 3] += (east_m, north_m, up_m)
+        return Pose(matrix)
+
+    @staticmethod
+    def identity() -> Pose:
+        return Pose(np.eye(4))
+
+    @staticmethod
+    def from_quaternion(position: Any, xyzw: Any) -> Pose:
+        """`position` (3,) metres, `xyzw` (4,) scalar last, of any length but zero. Raises PoseError."""
+        quaternion = np.asarray(xyzw, np.float64)
+        length = float(np.linalg.norm(quaternion))
+        if not np.isfinite(length) or length < 1e-9:
+            raise PoseError(f"quaternion {quaternion.tolist()} has no direction; give x y z w of a unit quaternion")
+        x, y, z, w = quaternion / length
+        rotation = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        return checked_pose(pose_of(rotation, np.asarray(position, np.float64)).matrix)
+
+
+def pose_of(rotation: Floats, position: Floats) -> Pose:
+    """The pose with this 3×3 rotation and (3,) position, unchecked."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    matrix[:3, 3] = position
+    return Pose(matrix)
+
+
+def checked_pose(matrix: Any, what: str = "pose") -> Pose:
+    """A Pose from a 3×4 or 4×4 matrix. Raises PoseError, naming `what`, unless it is finite and rigid."""
+    given = np.asarray(matrix, np.float64)
+    if given.shape not in ((3, 4), (4, 4)):
+        raise PoseError(f"{what}: a pose has 3×4 or 4×4 numbers, not {'×'.join(map(str, given.shape))}")
+    full = np.eye(4)
+    full[: given.shape[0]] = given
+    if not np.isfinite(full).all():
+        raise PoseError(f"{what}: holds NaN or infinity; drop this pose or repair the trajectory")
+    if not np.array_equal(full[3], [0, 0, 0, 1]):
+        raise PoseError(f"{what}: the last row is {full[3].tolist()}, not 0 0 0 1; is the matrix transposed?")
+    rotation = full[:3, :3]
+    error = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+    if error > RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
+        raise PoseError(
+            f"{what}: not a rigid motion (RᵀR is off the identity by {error:.3g}, "
+            f"determinant {np.linalg.det(rotation):.3g}); scale, shear and mirrored axes must be taken out first"
+        )
+    return Pose(full)
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """What one sensor saw at one instant.
+
+    `points`: (N, 3) float32 or float64, metres, in the sensor's frame; NaN and infinite rows mean "no return".
+    `T_world_sensor` takes them to the world. A scan that is already in the world's frame has the identity.
+    """
+
+    stamp_ns: Stamp
+    points: Array
+    T_world_sensor: Pose
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A scan that a log holds but that can't be placed or read; it is counted by its `reason`, never guessed."""
+
+    stamp_ns: Stamp
+    reason: str

@@ -1,0 +1,4 @@
+"""The compiled loops. Each stands beside the short NumPy reference that it must equal.
+
+All kernels release the GIL, so that one robot a thread scales, and none uses fast-math: the same bytes on every machine.
+"""

@@ -1,0 +1,192 @@
+"""The *tiles* paper's merge logic (its Fig. 4): a cell takes in another's evidence.
+
+One rule serves twice: a robot's own cell takes in a scan's patch, and the global cell takes in the next robot's.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from terrafuse.kernels.evidence import (
+    EVIDENCE,
+    TICKS_PER_M,
+    add,
+    mean_m,
+    mean_ticks,
+    take,
+    variance_m2,
+    variance_ticks,
+    zero,
+)
+from terrafuse.kernels.prefetch import DISTANCE, prefetch
+from terrafuse.types import Array
+
+_EVIDENCE = [(name, EVIDENCE[name].str) for name in EVIDENCE.names or ()]
+
+_SURFACE = [*_EVIDENCE, ("stamp", "<i8"), ("revision", "<u4"), ("changes", "<u4"), ("merges", "<u4")]
+
+SURFACE = np.dtype(
+    {
+        "names": [name for name, _ in _SURFACE],
+        "formats": [form for _, form in _SURFACE],
+        "offsets": [int(o) for o in np.cumsum([0] + [np.dtype(form).itemsize for _, form in _SURFACE])[:-1]],
+        "itemsize": 64,
+    }
+)
+"""What a scan touches of a cell, padded to a cache line: its evidence, when it was last updated and by which revision,
+how often its surface changed and how often it was merged."""
+
+CELL = np.dtype([*_SURFACE, *((f"ground_{name}", form) for name, form in _EVIDENCE)])
+"""An elevation cell, 84 bytes: its surface, and the evidence of the flat surface that something now covers
+(`ground_n` = 0: none). All zeros is the unknown cell."""
+
+GROUND_OF_CELL = np.dtype(
+    {
+        "names": [name for name, _ in _EVIDENCE],
+        "formats": [form for _, form in _EVIDENCE],
+        "offsets": [CELL.fields[f"ground_{name}"][1] for name, _ in _EVIDENCE],  # type: ignore[index]
+        "itemsize": CELL.itemsize,
+    }
+)
+"""CELL seen as the EVIDENCE of its ground."""
+
+class Rules(NamedTuple):
+    """The thresholds in the kernels' units."""
+
+    static: bool
+    flat_tolerance: float
+    """ticks"""
+    variance_threshold: float
+    """ticks²"""
+
+
+def rules(static: bool, flat_tolerance_m: float, variance_threshold_m2: float) -> Rules:
+    return Rules(static, flat_tolerance_m * TICKS_PER_M, variance_threshold_m2 * TICKS_PER_M**2)
+
+
+@njit(inline="always")
+def is_vertical(record, rules):
+    return record.n > 2 and variance_ticks(record) > rules.variance_threshold
+
+
+@njit(inline="always")
+def cover(own, ground):
+    """Cache the flat surface that is about to be covered; of two, the lower one is the ground."""
+    if ground.n == 0 or mean_ticks(own) < mean_ticks(ground):
+        take(ground, own)
+
+
+@njit
+def absorb(own, ground, new, rules):
+    """Take `new` into `own`; both are known. `ground` is own's cached ground. Returns 1 where the surface changed."""
+    if rules.static:
+        add(own, new)
+        return 0
+    own_vertical, new_vertical = is_vertical(own, rules), is_vertical(new, rules)
+    if own_vertical == new_vertical and (
+        own_vertical or abs(mean_ticks(own) - mean_ticks(new)) <= rules.flat_tolerance
+    ):
+        add(own, new)
+        return 0
+    if not new_vertical and ground.n > 0 and abs(mean_ticks(ground) - mean_ticks(new)) <= rules.flat_tolerance:
+        take(own, ground)
+        zero(ground)
+        add(own, new)
+        return 1
+    if not own_vertical:
+        cover(own, ground)
+    take(own, new)
+    return 1
+
+
+@njit(cache=True, nogil=True)
+def merge(surface, ground, at, patch, stamp, revision, reported, changed, count, rules):
+    """A robot's tile ← a scan's patch: surface (T²,) SURFACE, ground (T²,) EVIDENCE, at (K,) positions, patch (K,) EVIDENCE.
+
+    Positions that change for the first time since revision `reported` are appended to `changed` (T² + 1,) after its
+    first `count`. Returns the new count.
+    """
+    last = at.shape[0] - 1
+    for k in range(at.shape[0]):
+        prefetch(surface, at[min(k + DISTANCE, last)])
+        place = at[k]
+        own, new = surface[place], patch[k]
+        if own.n == 0:
+            take(own, new)
+        else:
+            own.changes += np.uint32(absorb(own, ground[place], new, rules))
+        changed[count] = place
+        count += own.revision <= reported
+        own.merges += np.uint32(1)
+        own.stamp = stamp
+        own.revision = np.uint32(revision)
+    return count
+
+
+@njit(cache=True, nogil=True)
+def fuse(own_cells, own_grounds, new_cells, new_grounds, rules):
+    """The next step of the fold, in place: own_cells[k] takes new_cells[k] in. All (M,), views of CELL."""
+    for k in range(own_cells.shape[0]):
+        own, ground, new, new_ground = own_cells[k], own_grounds[k], new_cells[k], new_grounds[k]
+        if new.n == 0:
+            continue
+        if own.n == 0:
+            take(own, new)
+            take(ground, new_ground)
+        else:
+            own.changes += np.uint32(absorb(own, ground, new, rules))
+            if new_ground.n > 0 and (ground.n == 0 or mean_ticks(new_ground) < mean_ticks(ground)):
+                take(ground, new_ground)
+        own.changes += new.changes
+        own.merges += new.merges
+        own.stamp = max(own.stamp, new.stamp)
+        own.revision = max(own.revision, new.revision)
+
+
+@njit(cache=True, nogil=True)
+def coarsen(cells, factor, out):
+    """k×k cells → one: cells (H, W) CELL, out (H/k, W/k) CELL of zeros. Sums add, stamps take the newest."""
+    for j in range(out.shape[0] * factor):
+        for i in range(out.shape[1] * factor):
+            new, own = cells[j, i], out[j // factor, i // factor]
+            if new.n == 0:
+                continue
+            if own.n == 0:
+                take(own, new)
+            else:
+                add(own, new)
+            own.changes += new.changes
+            own.merges += new.merges
+            own.stamp = max(own.stamp, new.stamp)
+            own.revision = max(own.revision, new.revision)
+
+
+def vertical(records: Array, limits: Rules) -> Array:
+    """Which records are vertical: n > 2 and a variance over the threshold."""
+    threshold_m2 = limits.variance_threshold / TICKS_PER_M**2
+    return np.asarray((records["n"] > 2) & (np.nan_to_num(variance_m2(records)) > threshold_m2))
+
+
+def absorb_reference(own: Array, ground: Array, new: Array, limits: Rules) -> tuple[Array, Array, bool]:
+    """The table of the merge, row by row, on single EVIDENCE records: (own, ground) after, and whether it changed."""
+
+    def joined(a: Array, b: Array) -> Array:
+        square = sum((int(r["sq_hi"]) << 64) + int(r["sq_lo"]) for r in (a, b))
+        low, high = min(a["z_min"], b["z_min"]), max(a["z_max"], b["z_max"])
+        total = a["z_sum"] + b["z_sum"]
+        return np.array((a["n"] + b["n"], low, high, square >> 64, total, square & (2**64 - 1)), EVIDENCE)
+
+    def agree(a: Array, b: Array) -> bool:
+        return bool(abs(mean_m(a) - mean_m(b)) <= limits.flat_tolerance / TICKS_PER_M)
+
+    states = (bool(vertical(own, limits)), bool(vertical(new, limits)))
+    if limits.static or states == (True, True) or (states == (False, False) and agree(own, new)):
+        return joined(own, new), ground, False
+    if not states[1] and ground["n"] and agree(ground, new):
+        return joined(ground, new), np.zeros((), EVIDENCE), True
+    if not states[0] and (not ground["n"] or mean_m(own) < mean_m(ground)):
+        ground = own
+    return new, ground, True

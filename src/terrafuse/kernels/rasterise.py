@@ -1,0 +1,230 @@
+"""A scan → one evidence record for each cell that it hit (the scan-local patch of the *tiles* paper).
+
+Only what the scan hit is touched. Points go in blocks: first transform, range gate and cell index, which vectorise;
+then the update, whose cell is fetched ahead. An index grid over a window around the sensor gives each cell a slot in
+a compact array of records that stays in the cache; points beyond the window wait for another pass.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from terrafuse.kernels.evidence import EVIDENCE, MAX_Z_M, TICKS_PER_M, empty, hit, ticks
+from terrafuse.kernels.prefetch import DISTANCE, prefetch
+from terrafuse.types import Array, Floats
+
+BLOCK = 2048
+WINDOW_BITS = 12
+WINDOW = 1 << WINDOW_BITS
+"""Cells along the index grid's side: 410 m at 0.1 m."""
+PATCHWORK_BITS = 5
+"""The grid is laid out in squares of 32×32 cells, one memory page each: a scan's cells lie on few pages."""
+NOWHERE = WINDOW * WINDOW
+"""The grid's extra cell, which takes the points that don't count."""
+
+NOT_FINITE, TOO_NEAR, TOO_FAR, TOO_HIGH, LATER = range(5)
+DROP_REASONS = ("not finite", "nearer than min_range_m", "beyond max_range_m", "height beyond ±10 km")
+
+
+class Patchwork(NamedTuple):
+    """The scratch of one robot's rasteriser; empty between scans."""
+
+    grid: Array
+    """(NOWHERE + 1,) int32: slot of each cell of the window, -1 where not hit."""
+    places: Array
+    """(capacity,) int32: the grid index of each slot."""
+    records: Array
+    """(capacity,) EVIDENCE."""
+
+
+def new_patchwork(capacity: int) -> Patchwork:
+    records = np.empty(capacity, EVIDENCE)
+    clear_records(records)
+    return Patchwork(np.full(NOWHERE + 1, -1, np.int32), np.empty(capacity, np.int32), records)
+
+
+@njit(cache=True, nogil=True)
+def clear_records(records):
+    for k in range(records.shape[0]):
+        empty(records[k])
+
+
+@njit(inline="always")
+def place_of(i, j):
+    """Index in the grid of the cell (i, j) of the window."""
+    inner = (1 << PATCHWORK_BITS) - 1
+    return (
+        ((j >> PATCHWORK_BITS) << (WINDOW_BITS + PATCHWORK_BITS))
+        | ((i >> PATCHWORK_BITS) << (2 * PATCHWORK_BITS))
+        | ((j & inner) << PATCHWORK_BITS)
+        | (i & inner)
+    )
+
+
+@njit(inline="always")
+def cell_at(place):
+    """(i, j) in the window of a grid index: the inverse of `place_of`."""
+    inner = (1 << PATCHWORK_BITS) - 1
+    i = (((place >> (2 * PATCHWORK_BITS)) & ((WINDOW >> PATCHWORK_BITS) - 1)) << PATCHWORK_BITS) | (place & inner)
+    j = ((place >> (WINDOW_BITS + PATCHWORK_BITS)) << PATCHWORK_BITS) | ((place >> PATCHWORK_BITS) & inner)
+    return i, j
+
+
+@njit(nogil=True)
+def locate(x, y, z, m, T, cells_per_m, i0, j0, near2, far2, places, heights):
+    """Transform m points (1-D arrays) and write each one's grid index and height in ticks. Returns how many count."""
+    r00, r01, r02, t0 = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
+    r10, r11, r12, t1 = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
+    r20, r21, r22, t2 = T[2, 0], T[2, 1], T[2, 2], T[2, 3]
+    good = 0
+    for k in range(m):
+        px, py, pz = np.float64(x[k]), np.float64(y[k]), np.float64(z[k])
+        i = np.floor((r00 * px + r01 * py + r02 * pz + t0) * cells_per_m) - i0
+        j = np.floor((r10 * px + r11 * py + r12 * pz + t1) * cells_per_m) - j0
+        up = r20 * px + r21 * py + r22 * pz + t2
+        range2 = px * px + py * py + pz * pz
+        ok = (
+            (range2 >= near2)
+            & (range2 <= far2)
+            & (i >= 0.0)
+            & (i < WINDOW)
+            & (j >= 0.0)
+            & (j < WINDOW)
+            & (up >= -MAX_Z_M)
+            & (up <= MAX_Z_M)
+        )
+        good += ok
+        whole_i = np.int32(i if ok else 0.0)
+        whole_j = np.int32(j if ok else 0.0)
+        places[k] = place_of(whole_i, whole_j) if ok else NOWHERE
+        heights[k] = np.int32(np.rint((up if ok else 0.0) * TICKS_PER_M))
+    return good
+
+
+@njit(nogil=True)
+def account(x, y, z, m, T, near2, far2, first, places, dropped, later):
+    """Count by reason why points of a block don't count; write the indices of those beyond the window to `later`."""
+    for k in range(m):
+        if places[k] != NOWHERE:
+            continue
+        px, py, pz = np.float64(x[k]), np.float64(y[k]), np.float64(z[k])
+        range2 = px * px + py * py + pz * pz
+        up = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+        if not np.isfinite(range2):
+            dropped[NOT_FINITE] += 1
+        elif range2 < near2:
+            dropped[TOO_NEAR] += 1
+        elif range2 > far2:
+            dropped[TOO_FAR] += 1
+        elif not (up >= -MAX_Z_M and up <= MAX_Z_M):
+            dropped[TOO_HIGH] += 1
+        else:
+            later[dropped[LATER]] = first + k
+            dropped[LATER] += 1
+
+
+@njit(cache=True, nogil=True)
+def rasterise(points, T, cells_per_m, i0, j0, near2, far2, grid, places, records, dropped, later):
+    """Rasterise (N, 3) points into the patchwork's window, whose first cell is (i0, j0). Returns the slots used.
+
+    T: 4×4 float64 T_world_sensor; near2, far2: squared range gate in m². `dropped` (5,) int64 is added to; `later` (N,)
+    int64 receives the indices of points beyond the window, dropped[LATER] of them. `records` must be empty and hold
+    N + 1. The slot of NOWHERE, if any, is the caller's to ignore.
+    """
+    x = np.empty(BLOCK, points.dtype)
+    y = np.empty(BLOCK, points.dtype)
+    z = np.empty(BLOCK, points.dtype)
+    where = np.zeros(BLOCK + DISTANCE, np.int32)
+    heights = np.empty(BLOCK, np.int32)
+    count = 0
+    for first in range(0, points.shape[0], BLOCK):
+        m = min(BLOCK, points.shape[0] - first)
+        for k in range(m):
+            x[k] = points[first + k, 0]
+            y[k] = points[first + k, 1]
+            z[k] = points[first + k, 2]
+        good = locate(x, y, z, m, T, cells_per_m, i0, j0, near2, far2, where, heights)
+        if good < m:
+            account(x, y, z, m, T, near2, far2, first, where, dropped, later)
+        for k in range(m):
+            prefetch(grid, where[k + DISTANCE])
+            place = where[k]
+            # No branch on "first hit of this cell": a third of a lidar's points are, at random.
+            slot = grid[place]
+            new = slot < 0
+            slot = count if new else slot
+            grid[place] = slot
+            places[slot] = place
+            count += new
+            hit(records[np.uint64(slot)], heights[k])
+    return count
+
+
+@njit(cache=True, nogil=True)
+def group(grid, places, records, count, i0, j0, tile_cells, keys, starts, at, grouped):
+    """Move a patchwork's records out, sorted by tile, in their order within one; the patchwork is empty again.
+
+    Writes the T tiles hit to keys (T, 2) as (x, y), the T + 1 offsets to starts, and for each record its flat position
+    j·tile_cells + i in its tile to `at` and itself to `grouped`. Returns T.
+    """
+    tile0_x, tile0_y = i0 // tile_cells, j0 // tile_cells
+    across = WINDOW // tile_cells + 2
+    order = np.full(across * across, -1, np.int32)
+    tile_of = np.empty(count, np.int32)
+    place_in = np.empty(count, np.int32)
+    per_cell = 1.0 / tile_cells
+    tiles = 0
+    for k in range(count):
+        place = places[k]
+        grid[place] = -1
+        if place == NOWHERE:
+            tile_of[k] = -1
+            continue
+        wi, wj = cell_at(place)
+        # (i + ½)/T is never within rounding of a whole number, so this equals the integer division, which is slower.
+        x = np.int64(np.floor((i0 + wi + 0.5) * per_cell))
+        y = np.int64(np.floor((j0 + wj + 0.5) * per_cell))
+        seat = (y - tile0_y) * across + (x - tile0_x)
+        tile = order[seat]
+        if tile < 0:
+            tile = tiles
+            order[seat] = tile
+            keys[tile, 0] = x
+            keys[tile, 1] = y
+            starts[tile + 1] = 0
+            tiles += 1
+        tile_of[k] = tile
+        place_in[k] = (j0 + wj - y * tile_cells) * tile_cells + (i0 + wi - x * tile_cells)
+        starts[tile + 1] += 1
+    starts[0] = 0
+    for t in range(tiles):
+        starts[t + 1] += starts[t]
+    cursor = starts[:tiles].copy()
+    for k in range(count):
+        tile = tile_of[k]
+        if tile >= 0:
+            seat = cursor[tile]
+            cursor[tile] += 1
+            at[seat] = place_in[k]
+            grouped[seat] = records[k]
+        empty(records[k])
+    return tiles
+
+
+def rasterise_reference(points: Array, T: Floats, cells_per_m: float, near_m: float, far_m: float) -> tuple[Array, Array]:
+    """What `rasterise` and `group` must equal: (K, 2) cells (i, j) in rising (j, i) order, and their (K,) EVIDENCE."""
+    p = points.astype(np.float64)
+    range2 = p[:, 0] * p[:, 0] + p[:, 1] * p[:, 1] + p[:, 2] * p[:, 2]
+    world = [T[a, 0] * p[:, 0] + T[a, 1] * p[:, 1] + T[a, 2] * p[:, 2] + T[a, 3] for a in range(3)]
+    ok = np.isfinite(range2) & (range2 >= near_m**2) & (range2 <= far_m**2) & (np.abs(world[2]) <= MAX_Z_M)
+    ij = np.stack([np.floor(world[a][ok] * cells_per_m).astype(np.int64) for a in (1, 0)], axis=1)
+    cells, inverse = np.unique(ij, axis=0, return_inverse=True)
+    z = ticks(world[2][ok])
+    out = np.zeros(len(cells), EVIDENCE)
+    for k, heights in enumerate(np.split(z[np.argsort(inverse, kind="stable")], np.cumsum(np.bincount(inverse))[:-1])):
+        squares = sum(int(h) * int(h) for h in heights)
+        out[k] = (len(heights), heights.min(), heights.max(), squares >> 64, heights.sum(), squares & (2**64 - 1))
+    return cells[:, ::-1], out

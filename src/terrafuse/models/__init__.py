@@ -1,0 +1,25 @@
+"""The cell models, by name. A model is one object; add your own with `MODELS["mine"] = Mine`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from terrafuse.errors import InputError
+from terrafuse.models.base import Layer, Model, Observer, Patch, fold
+from terrafuse.models.elevation import Elevation
+
+MODELS: dict[str, Callable[..., Model]] = {"elevation": Elevation}
+
+
+def make_model(name: str, settings: Mapping[str, Any] | None = None) -> Model:
+    """The model of this name with these settings; raises InputError for a name or a setting that there is none of."""
+    if name not in MODELS:
+        raise InputError(f"no cell model '{name}'; there are: {', '.join(sorted(MODELS))}")
+    try:
+        return MODELS[name](**dict(settings or {}))
+    except TypeError as error:
+        raise InputError(f"cell model '{name}' has no such setting: {error}") from error
+
+
+__all__ = ["MODELS", "Layer", "Model", "Observer", "Patch", "fold", "make_model"]

@@ -1,0 +1,112 @@
+"""The interface of a cell model: what a cell holds, how a scan changes it, how robots' cells become one.
+
+A model is a frozen object in the dict `terrafuse.models.MODELS`. Rules that hold for all:
+
+* A cell record of all zeros is the unknown cell; memory and files hold nothing for space that nobody saw.
+* The record has the fields `stamp` (int64, ns UTC of its last update) and `revision` (uint32, the number of the robot's
+  scan that last changed it; it only grows). The newest revision of a cell replaces any older one.
+* `fuse` is deterministic and takes unknown as neutral.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from terrafuse.lattice import Lattice
+from terrafuse.tile import Tile
+from terrafuse.types import Array, Floats, Scan, TileKey
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """The evidence of one scan: only the cells that it touched, grouped by tile.
+
+    Records `starts[t]:starts[t + 1]` belong to tile `keys[t]`; `at` has each one's flat position in its tile,
+    j·tile_cells + i, each position once. The arrays are the observer's scratch: they hold until its next scan.
+    """
+
+    keys: Sequence[TileKey]
+    starts: Array
+    at: Array
+    records: Array
+    points: int
+    dropped: Mapping[str, int]
+    """Points that did not count, by reason."""
+
+
+class Observer(Protocol):
+    """Turns scans into patches; holds the scratch memory of one robot. Not for two threads at once."""
+
+    def __call__(self, scan: Scan) -> Patch: ...
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A named 2D array that people, planners and files see.
+
+    `compute(cells, lattice)` takes (H, W) cell records, [j, i], and gives a (H, W) float64 array, NaN where unknown.
+    A layer that looks at neighbours states how many cells around it needs as `halo`; it gets them as unknown cells
+    where there are none.
+    """
+
+    name: str
+    unit: str
+    description: str
+    compute: Callable[[Array, Lattice], Floats]
+    halo: int = 0
+
+
+class Model(Protocol):
+    """One way to believe a sensor."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def cell(self) -> np.dtype[Any]:
+        """Structured dtype of a cell record."""
+
+    @property
+    def layers(self) -> Mapping[str, Layer]: ...
+
+    @property
+    def picture_layer(self) -> str:
+        """The layer that a picture of the map shows."""
+
+    def settings(self) -> dict[str, Any]:
+        """What makes two maps comparable: stored with a map, plain JSON."""
+
+    def observer(self, lattice: Lattice) -> Observer: ...
+
+    def tile(self, lattice: Lattice) -> Tile:
+        """A new tile of a robot's own map, all unknown; its `merge` takes a patch's records in."""
+
+    def fuse(self, older: Array, newer: Array) -> Array:
+        """The next step of the fold: (M,) cells of robots so far, (M,) of the next robot → (M,)."""
+
+    def coarsen(self, cells: Array, factor: int) -> Array:
+        """(H, W) cells → (H/k, W/k)."""
+
+    def known(self, cells: Array) -> Array:
+        """Which cells somebody observed, as booleans of the same shape."""
+
+
+def fold(model: Model, contributions: Sequence[Array]) -> Array:
+    """The global cells: `model.fuse` over the robots' cells in the order (stamp, robot), for each cell its own order.
+
+    `contributions`: (M,) cells of each robot, in the order of the robots' names. This is the one definition of the
+    global map: whatever way contributions came, the same ones give the same bytes.
+    """
+    if len(contributions) == 1:
+        return contributions[0].copy()
+    stack = np.stack(contributions)
+    order = np.argsort(stack["stamp"], axis=0, kind="stable")
+    ordered = np.take_along_axis(stack, order, axis=0)
+    fused = ordered[0]
+    for newer in ordered[1:]:
+        fused = model.fuse(fused, newer)
+    return fused

@@ -1,0 +1,257 @@
+"""`elevation`: heights as exact statistics, with vertical cells, moving things and the ground they cover.
+
+Koch & Lacroix, "Managing environment models in multi-robot teams" (the *tiles* paper).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from terrafuse.errors import InputError
+from terrafuse.kernels import absorb, evidence, rasterise
+from terrafuse.kernels.planes import fit_planes
+from terrafuse.lattice import Lattice
+from terrafuse.models.base import Layer, Patch
+from terrafuse.tile import aligned_zeros
+from terrafuse.types import Array, Floats, Scan, TileKey
+
+
+@dataclass(frozen=True)
+class Elevation:
+    """The elevation model's settings; an instance is the model.
+
+    `static=True` switches the dynamic rule off: every merge is then the exact merging of statistics.
+    """
+
+    static: bool = False
+    variance_threshold_m2: float = 0.05
+    """A cell with more than 2 points and a larger variance is vertical."""
+    flat_tolerance_m: float = 0.10
+    """Two flat surfaces whose means are further apart are different surfaces."""
+    min_range_m: float = 0.0
+    max_range_m: float = 1e8
+    """Points nearer or further from the sensor are dropped; the default keeps all."""
+    traversability_cells: int = 5
+    """Side k of the square over which a plane is fitted for `traversability`; odd."""
+    impassable_roughness: float = 0.25
+    """Roughness a² + b² + χ² at which traversability reaches 0: a slope of 27° by itself."""
+
+    name = "elevation"
+    cell = absorb.CELL
+    picture_layer = "height"
+
+    def __post_init__(self) -> None:
+        if self.traversability_cells % 2 == 0 or self.traversability_cells < 3:
+            raise InputError(f"traversability_cells {self.traversability_cells}: give an odd number of at least 3")
+        for field in ("variance_threshold_m2", "flat_tolerance_m", "impassable_roughness"):
+            if not getattr(self, field) > 0:
+                raise InputError(f"{field} {getattr(self, field)}: give a positive number")
+        if not 0 <= self.min_range_m < self.max_range_m:
+            raise InputError(f"range gate {self.min_range_m} to {self.max_range_m} m is empty")
+
+    def settings(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @property
+    def rules(self) -> absorb.Rules:
+        return absorb.rules(self.static, self.flat_tolerance_m, self.variance_threshold_m2)
+
+    def observer(self, lattice: Lattice) -> ElevationObserver:
+        return ElevationObserver(lattice, self.min_range_m, self.max_range_m)
+
+    def tile(self, lattice: Lattice) -> ElevationTile:
+        return ElevationTile(lattice.tile_cells, self.rules)
+
+    def fuse(self, older: Array, newer: Array) -> Array:
+        out = np.ascontiguousarray(older).copy()
+        new = np.ascontiguousarray(newer)
+        absorb.fuse(out, out.view(absorb.GROUND_OF_CELL), new, new.view(absorb.GROUND_OF_CELL), self.rules)
+        return out
+
+    def coarsen(self, cells: Array, factor: int) -> Array:
+        """The exact statistics of all points of k×k cells; `changes` and `merges` add, cached ground is left behind."""
+        out = np.zeros((cells.shape[0] // factor, cells.shape[1] // factor), self.cell)
+        absorb.coarsen(np.ascontiguousarray(cells), factor, out)
+        return out
+
+    def known(self, cells: Array) -> Array:
+        return np.asarray(cells["n"] > 0)
+
+    @property
+    def layers(self) -> Mapping[str, Layer]:
+        return {layer.name: layer for layer in self._layers()}
+
+    def _layers(self) -> list[Layer]:
+        half = self.traversability_cells // 2
+        return [
+            Layer("height", "m", "mean height; the highest point where vertical", lambda c, _: self.height(c)),
+            Layer("z_mean", "m", "mean height of the points", lambda c, _: evidence.mean_m(c)),
+            Layer("z_var", "m2", "variance of the points' heights", lambda c, _: evidence.variance_m2(c)),
+            Layer("z_min", "m", "lowest point", lambda c, _: self._metres(c, "z_min")),
+            Layer("z_max", "m", "highest point", lambda c, _: self._metres(c, "z_max")),
+            Layer("n", "1", "number of points", lambda c, _: c["n"].astype(np.float64)),
+            Layer("state", "1", "1 flat, 2 vertical", lambda c, _: self.state(c)),
+            Layer("changes", "1", "how often the surface changed", lambda c, _: self._count(c, "changes")),
+            Layer("dynamic", "1", "probability that the next look finds a change", lambda c, _: self.dynamic(c)),
+            Layer("stamp", "s", "last update, seconds since 1970 UTC", lambda c, _: self._count(c, "stamp") * 1e-9),
+            Layer("traversability", "1", "0 impassable to 1 smooth and level", self.traversability, half),
+        ]
+
+    def _count(self, cells: Array, field: str) -> Floats:
+        return np.where(self.known(cells), cells[field].astype(np.float64), np.nan)
+
+    def _metres(self, cells: Array, field: str) -> Floats:
+        return self._count(cells, field) * evidence.TICK_M
+
+    def state(self, cells: Array) -> Floats:
+        """1 flat, 2 vertical, NaN unknown."""
+        return np.where(self.known(cells), 1.0 + absorb.vertical(cells, self.rules), np.nan)
+
+    def height(self, cells: Array) -> Floats:
+        """z_mean, or z_max where vertical."""
+        return np.where(absorb.vertical(cells, self.rules), self._metres(cells, "z_max"), evidence.mean_m(cells))
+
+    def dynamic(self, cells: Array) -> Floats:
+        """Posterior mean (changes + 1)/(merges + 2) of the chance that a merge finds a change."""
+        return np.where(self.known(cells), (cells["changes"] + 1.0) / (cells["merges"] + 2.0), np.nan)
+
+    def traversability(self, cells: Array, lattice: Lattice) -> Floats:
+        """1 - roughness / impassable, from the plane fitted to the heights of k×k cells.
+
+        Roughness is a² + b² + χ²: the plane's slopes, and the mean squared residual in units of a cell's side, so
+        that the three add up at any resolution. NaN where over half of the k×k cells are unknown, or the known ones
+        lie on one line.
+        """
+        a, b, residual2, count = fit_planes(self.height(cells), self.traversability_cells)
+        roughness = (a * a + b * b + residual2) / lattice.resolution_m**2
+        enough = 2 * count >= self.traversability_cells**2
+        return np.where(enough, np.clip(1.0 - roughness / self.impassable_roughness, 0.0, 1.0), np.nan)
+
+
+class ElevationTile:
+    """A tile as two arrays: what every scan touches, a cache line a cell; and the cached ground, which few cells have."""
+
+    def __init__(self, side: int, rules: absorb.Rules) -> None:
+        self.revision = 0
+        self._rules = rules
+        self._surface = aligned_zeros(side * side, absorb.SURFACE)
+        self._ground = aligned_zeros(side * side, evidence.EVIDENCE)
+        # One more than there are cells: the kernel writes before it knows whether to keep.
+        self._changed = np.empty(side * side + 1, np.int32)
+        self._count = 0
+        self._reported = 0
+
+    def merge(self, at: Array, patch: Array, stamp_ns: int, revision: int) -> None:
+        self._count = absorb.merge(
+            self._surface, self._ground, at, patch, stamp_ns, revision, self._reported, self._changed, self._count, self._rules
+        )
+        self.revision = revision
+
+    def changed(self, since: int) -> tuple[Array, Array]:
+        if since < self._reported:
+            at = np.flatnonzero(self._surface["revision"] > since).astype(np.int32)
+        else:
+            at = np.sort(self._changed[: self._count])
+            at = at[self._surface["revision"][at] > since]
+        cells = np.zeros(len(at), absorb.CELL)
+        surface, ground = self._surface[at], self._ground[at]
+        for name in absorb.SURFACE.names or ():
+            cells[name] = surface[name]
+        cells.view(absorb.GROUND_OF_CELL)[:] = ground
+        return at, cells
+
+    def reported(self, revision: int) -> None:
+        at = self._changed[: self._count]
+        newer = at[self._surface["revision"][at] > revision]
+        self._changed[: len(newer)] = newer
+        self._count = len(newer)
+        self._reported = max(self._reported, revision)
+
+    def put(self, at: Array, cells: Array) -> None:
+        surface = np.zeros(len(at), absorb.SURFACE)
+        for name in absorb.SURFACE.names or ():
+            surface[name] = cells[name]
+        self._surface[at] = surface
+        ground = np.zeros(len(at), evidence.EVIDENCE)
+        ground[:] = cells.view(absorb.GROUND_OF_CELL)
+        self._ground[at] = ground
+        self.revision = max(self.revision, int(cells["revision"].max(initial=0)))
+        self._reported = self.revision
+        self._count = 0
+
+    @property
+    def nbytes(self) -> int:
+        return int(self._surface.nbytes + self._ground.nbytes + self._changed.nbytes)
+
+
+class ElevationObserver:
+    """Rasterises scans of one robot on one lattice; keeps the scratch between scans."""
+
+    def __init__(self, lattice: Lattice, min_range_m: float, max_range_m: float) -> None:
+        self._lattice = lattice
+        self._near2, self._far2 = min_range_m**2, max_range_m**2
+        self._scratch = rasterise.new_patchwork(1 << 14)
+        across = rasterise.WINDOW // lattice.tile_cells + 2
+        self._keys = np.empty((across * across, 2), np.int64)
+        self._starts = np.empty(across * across + 1, np.int64)
+
+    def __call__(self, scan: Scan) -> Patch:
+        T_world_sensor = scan.T_world_sensor.matrix
+        dropped = np.zeros(5, np.int64)
+        parts: list[Patch] = []
+        points = np.ascontiguousarray(scan.points)
+        centre = T_world_sensor[:2, 3]
+        while len(points):
+            points, part = self._pass(points, T_world_sensor, centre, dropped)
+            parts.append(part)
+            if len(points):
+                p = points[0].astype(np.float64)
+                centre = T_world_sensor[:2, :3] @ p + T_world_sensor[:2, 3]
+        reasons = {name: int(n) for name, n in zip(rasterise.DROP_REASONS, dropped, strict=False) if n}
+        return _joined(parts, len(scan.points), reasons)
+
+    def _pass(self, points: Array, T: Floats, centre: Floats, dropped: Array) -> tuple[Array, Patch]:
+        """Rasterise what lies in one window of the lattice; return the points beyond it, and the patch."""
+        grid, places, records = self._reserve(len(points) + 1)
+        # Windows stand on a fixed raster of half their side, so that a cell is never split between two passes' windows
+        # unless the first pass could not see it.
+        half = rasterise.WINDOW // 2
+        i0, j0 = (int(np.floor(c * self._lattice.cells_per_m)) // half * half - half // 2 for c in centre)
+        later = np.empty(len(points), np.int64)
+        dropped[rasterise.LATER] = 0
+        count = rasterise.rasterise(
+            points, T, self._lattice.cells_per_m, i0, j0, self._near2, self._far2, grid, places, records, dropped, later
+        )
+        at, grouped = np.empty(count, np.int32), np.empty(count, evidence.EVIDENCE)
+        tiles = rasterise.group(
+            grid, places, records, count, i0, j0, self._lattice.tile_cells, self._keys, self._starts, at, grouped
+        )
+        keys = [TileKey(int(x), int(y)) for x, y in self._keys[:tiles]]
+        starts = self._starts[: tiles + 1].copy()
+        rest = points[later[: dropped[rasterise.LATER]]]
+        return rest, Patch(keys, starts, at[: starts[-1]], grouped[: starts[-1]], 0, {})
+
+    def _reserve(self, capacity: int) -> rasterise.Patchwork:
+        """The scratch, with room for `capacity` cells."""
+        if len(self._scratch.places) < capacity:
+            size = 1 << (capacity - 1).bit_length()
+            records = np.empty(size, evidence.EVIDENCE)
+            rasterise.clear_records(records)
+            self._scratch = rasterise.Patchwork(self._scratch.grid, np.empty(size, np.int32), records)
+        return self._scratch
+
+
+def _joined(parts: list[Patch], points: int, dropped: Mapping[str, int]) -> Patch:
+    """One patch of several passes. Windows may overlap in a tile, never in a cell: tiles appear once for each pass."""
+    if len(parts) == 1:
+        return Patch(parts[0].keys, parts[0].starts, parts[0].at, parts[0].records, points, dropped)
+    keys: list[TileKey] = [key for part in parts for key in part.keys]
+    offsets = np.cumsum([0] + [len(part.at) for part in parts])
+    starts = np.concatenate([part.starts[:-1] + o for part, o in zip(parts, offsets, strict=False)] + [offsets[-1:]])
+    at = np.concatenate([part.at for part in parts]) if parts else np.empty(0, np.int32)
+    records = np.concatenate([part.records for part in parts]) if parts else np.empty(0, evidence.EVIDENCE)
+    return Patch(keys, starts.astype(np.int64), at, records, points, dropped)

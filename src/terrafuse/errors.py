@@ -50,3 +50,7 @@ class StoreMismatch(StoreError, InputError):
     """A store that can't be used as asked: a newer schema, another lattice or model, not a store at all."""
 
     exit_code = 2
+
+
+class OutputError(InputError):
+    """A result can't be written: no space, no permission. What existed before is untouched."""

@@ -84,7 +84,9 @@ class Pose:
         quaternion = np.asarray(xyzw, np.float64)
         length = float(np.linalg.norm(quaternion))
         if not np.isfinite(length) or length < 1e-9:
-            raise PoseError(f"quaternion {quaternion.tolist()} has no direction; give x y z w of a unit quaternion")
+            raise PoseError(
+                f"quaternion {quaternion.tolist()} has no direction; give x y z w of a unit quaternion"
+            )
         x, y, z, w = quaternion / length
         rotation = np.array(
             [

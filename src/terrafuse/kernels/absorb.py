@@ -29,7 +29,7 @@ _EVIDENCE = [(name, EVIDENCE[name].str) for name in EVIDENCE.names or ()]
 _SURFACE = [*_EVIDENCE, ("stamp", "<i8"), ("revision", "<u4"), ("changes", "<u4"), ("merges", "<u4")]
 
 SURFACE = np.dtype(
-    {
+    {  # type: ignore[call-overload]
         "names": [name for name, _ in _SURFACE],
         "formats": [form for _, form in _SURFACE],
         "offsets": [int(o) for o in np.cumsum([0] + [np.dtype(form).itemsize for _, form in _SURFACE])[:-1]],
@@ -52,6 +52,7 @@ GROUND_OF_CELL = np.dtype(
     }
 )
 """CELL seen as the EVIDENCE of its ground."""
+
 
 class Rules(NamedTuple):
     """The thresholds in the kernels' units."""
@@ -91,7 +92,11 @@ def absorb(own, ground, new, rules):
     ):
         add(own, new)
         return 0
-    if not new_vertical and ground.n > 0 and abs(mean_ticks(ground) - mean_ticks(new)) <= rules.flat_tolerance:
+    if (
+        not new_vertical
+        and ground.n > 0
+        and abs(mean_ticks(ground) - mean_ticks(new)) <= rules.flat_tolerance
+    ):
         take(own, ground)
         zero(ground)
         add(own, new)

@@ -12,8 +12,7 @@ DISTANCE = 24
 """How many points ahead to fetch: far enough to hide memory, near enough not to be evicted again. Measured."""
 
 
-@intrinsic  # type: ignore[misc]
-def prefetch(typing_context: Any, array: Any, index: Any) -> Any:
+def _prefetch(typing_context: Any, array: Any, index: Any) -> Any:
     """`prefetch(array, index)`: a hint to fetch array[index] (1-D, C order) for writing; index is not checked."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -35,3 +34,6 @@ def prefetch(typing_context: Any, array: Any, index: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(array, index), generate
+
+
+prefetch: Any = intrinsic(_prefetch)

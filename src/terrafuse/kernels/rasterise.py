@@ -68,7 +68,9 @@ def place_of(i, j):
 def cell_at(place):
     """(i, j) in the window of a grid index: the inverse of `place_of`."""
     inner = (1 << PATCHWORK_BITS) - 1
-    i = (((place >> (2 * PATCHWORK_BITS)) & ((WINDOW >> PATCHWORK_BITS) - 1)) << PATCHWORK_BITS) | (place & inner)
+    i = (((place >> (2 * PATCHWORK_BITS)) & ((WINDOW >> PATCHWORK_BITS) - 1)) << PATCHWORK_BITS) | (
+        place & inner
+    )
     j = ((place >> (WINDOW_BITS + PATCHWORK_BITS)) << PATCHWORK_BITS) | ((place >> PATCHWORK_BITS) & inner)
     return i, j
 
@@ -214,7 +216,9 @@ def group(grid, places, records, count, i0, j0, tile_cells, keys, starts, at, gr
     return tiles
 
 
-def rasterise_reference(points: Array, T: Floats, cells_per_m: float, near_m: float, far_m: float) -> tuple[Array, Array]:
+def rasterise_reference(
+    points: Array, T: Floats, cells_per_m: float, near_m: float, far_m: float
+) -> tuple[Array, Array]:
     """What `rasterise` and `group` must equal: (K, 2) cells (i, j) in rising (j, i) order, and their (K,) EVIDENCE."""
     p = points.astype(np.float64)
     range2 = p[:, 0] * p[:, 0] + p[:, 1] * p[:, 1] + p[:, 2] * p[:, 2]
@@ -224,7 +228,16 @@ def rasterise_reference(points: Array, T: Floats, cells_per_m: float, near_m: fl
     cells, inverse = np.unique(ij, axis=0, return_inverse=True)
     z = ticks(world[2][ok])
     out = np.zeros(len(cells), EVIDENCE)
-    for k, heights in enumerate(np.split(z[np.argsort(inverse, kind="stable")], np.cumsum(np.bincount(inverse))[:-1])):
+    for k, heights in enumerate(
+        np.split(z[np.argsort(inverse, kind="stable")], np.cumsum(np.bincount(inverse))[:-1])
+    ):
         squares = sum(int(h) * int(h) for h in heights)
-        out[k] = (len(heights), heights.min(), heights.max(), squares >> 64, heights.sum(), squares & (2**64 - 1))
+        out[k] = (
+            len(heights),
+            heights.min(),
+            heights.max(),
+            squares >> 64,
+            heights.sum(),
+            squares & (2**64 - 1),
+        )
     return cells[:, ::-1], out

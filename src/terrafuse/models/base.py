@@ -109,4 +109,4 @@ def fold(model: Model, contributions: Sequence[Array]) -> Array:
     fused = ordered[0]
     for newer in ordered[1:]:
         fused = model.fuse(fused, newer)
-    return fused
+    return np.asarray(fused)

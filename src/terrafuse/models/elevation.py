@@ -46,7 +46,9 @@ class Elevation:
 
     def __post_init__(self) -> None:
         if self.traversability_cells % 2 == 0 or self.traversability_cells < 3:
-            raise InputError(f"traversability_cells {self.traversability_cells}: give an odd number of at least 3")
+            raise InputError(
+                f"traversability_cells {self.traversability_cells}: give an odd number of at least 3"
+            )
         for field in ("variance_threshold_m2", "flat_tolerance_m", "impassable_roughness"):
             if not getattr(self, field) > 0:
                 raise InputError(f"{field} {getattr(self, field)}: give a positive number")
@@ -88,7 +90,9 @@ class Elevation:
     def _layers(self) -> list[Layer]:
         half = self.traversability_cells // 2
         return [
-            Layer("height", "m", "mean height; the highest point where vertical", lambda c, _: self.height(c)),
+            Layer(
+                "height", "m", "mean height; the highest point where vertical", lambda c, _: self.height(c)
+            ),
             Layer("z_mean", "m", "mean height of the points", lambda c, _: evidence.mean_m(c)),
             Layer("z_var", "m2", "variance of the points' heights", lambda c, _: evidence.variance_m2(c)),
             Layer("z_min", "m", "lowest point", lambda c, _: self._metres(c, "z_min")),
@@ -96,8 +100,15 @@ class Elevation:
             Layer("n", "1", "number of points", lambda c, _: c["n"].astype(np.float64)),
             Layer("state", "1", "1 flat, 2 vertical", lambda c, _: self.state(c)),
             Layer("changes", "1", "how often the surface changed", lambda c, _: self._count(c, "changes")),
-            Layer("dynamic", "1", "probability that the next look finds a change", lambda c, _: self.dynamic(c)),
-            Layer("stamp", "s", "last update, seconds since 1970 UTC", lambda c, _: self._count(c, "stamp") * 1e-9),
+            Layer(
+                "dynamic", "1", "probability that the next look finds a change", lambda c, _: self.dynamic(c)
+            ),
+            Layer(
+                "stamp",
+                "s",
+                "last update, seconds since 1970 UTC",
+                lambda c, _: self._count(c, "stamp") * 1e-9,
+            ),
             Layer("traversability", "1", "0 impassable to 1 smooth and level", self.traversability, half),
         ]
 
@@ -113,7 +124,9 @@ class Elevation:
 
     def height(self, cells: Array) -> Floats:
         """z_mean, or z_max where vertical."""
-        return np.where(absorb.vertical(cells, self.rules), self._metres(cells, "z_max"), evidence.mean_m(cells))
+        return np.where(
+            absorb.vertical(cells, self.rules), self._metres(cells, "z_max"), evidence.mean_m(cells)
+        )
 
     def dynamic(self, cells: Array) -> Floats:
         """Posterior mean (changes + 1)/(merges + 2) of the chance that a merge finds a change."""
@@ -147,7 +160,16 @@ class ElevationTile:
 
     def merge(self, at: Array, patch: Array, stamp_ns: int, revision: int) -> None:
         self._count = absorb.merge(
-            self._surface, self._ground, at, patch, stamp_ns, revision, self._reported, self._changed, self._count, self._rules
+            self._surface,
+            self._ground,
+            at,
+            patch,
+            stamp_ns,
+            revision,
+            self._reported,
+            self._changed,
+            self._count,
+            self._rules,
         )
         self.revision = revision
 
@@ -224,11 +246,32 @@ class ElevationObserver:
         later = np.empty(len(points), np.int64)
         dropped[rasterise.LATER] = 0
         count = rasterise.rasterise(
-            points, T, self._lattice.cells_per_m, i0, j0, self._near2, self._far2, grid, places, records, dropped, later
+            points,
+            T,
+            self._lattice.cells_per_m,
+            i0,
+            j0,
+            self._near2,
+            self._far2,
+            grid,
+            places,
+            records,
+            dropped,
+            later,
         )
         at, grouped = np.empty(count, np.int32), np.empty(count, evidence.EVIDENCE)
         tiles = rasterise.group(
-            grid, places, records, count, i0, j0, self._lattice.tile_cells, self._keys, self._starts, at, grouped
+            grid,
+            places,
+            records,
+            count,
+            i0,
+            j0,
+            self._lattice.tile_cells,
+            self._keys,
+            self._starts,
+            at,
+            grouped,
         )
         keys = [TileKey(int(x), int(y)) for x, y in self._keys[:tiles]]
         starts = self._starts[: tiles + 1].copy()
@@ -251,7 +294,9 @@ def _joined(parts: list[Patch], points: int, dropped: Mapping[str, int]) -> Patc
         return Patch(parts[0].keys, parts[0].starts, parts[0].at, parts[0].records, points, dropped)
     keys: list[TileKey] = [key for part in parts for key in part.keys]
     offsets = np.cumsum([0] + [len(part.at) for part in parts])
-    starts = np.concatenate([part.starts[:-1] + o for part, o in zip(parts, offsets, strict=False)] + [offsets[-1:]])
+    starts = np.concatenate(
+        [part.starts[:-1] + o for part, o in zip(parts, offsets, strict=False)] + [offsets[-1:]]
+    )
     at = np.concatenate([part.at for part in parts]) if parts else np.empty(0, np.int32)
     records = np.concatenate([part.records for part in parts]) if parts else np.empty(0, evidence.EVIDENCE)
     return Patch(keys, starts.astype(np.int64), at, records, points, dropped)

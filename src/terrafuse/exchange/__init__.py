@@ -1,0 +1,1 @@
+"""How robots' reports travel: deltas and their bytes."""

@@ -1,0 +1,178 @@
+"""One robot's own map: scans in, touched tiles out. The loop that reads like the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Protocol
+
+from terrafuse.errors import InputError
+from terrafuse.exchange.delta import Delta, TileCells, map_id
+from terrafuse.lattice import Lattice
+from terrafuse.models import make_model
+from terrafuse.models.base import Model, Patch
+from terrafuse.tile import Tile
+from terrafuse.types import Scan, TileKey
+from terrafuse.window import KeepAll, Window
+
+
+class Archive(Protocol):
+    """Where tiles go that leave the window: any store, or a `WriteBehind` of one."""
+
+    def accept(self, delta: Delta) -> bool: ...
+
+    def load(self, robot: str, key: TileKey) -> TileCells | None: ...
+
+    def revisions(self, robot: str) -> dict[TileKey, int]: ...
+
+
+@dataclass(frozen=True)
+class Integrated:
+    """What a scan did."""
+
+    revision: int
+    points: int
+    dropped: Mapping[str, int]
+    """Points that did not count, by reason."""
+    cells: int
+    """Cells that it touched."""
+    tiles: int
+
+
+@dataclass
+class Paging:
+    """What the window cost so far."""
+
+    loads: int = 0
+    evictions: int = 0
+    most_resident: int = 0
+    most_bytes: int = 0
+
+
+class Mapper:
+    """The map that one robot makes of its own scans, on a shared lattice.
+
+    Each scan is a revision; `delta(since)` says what changed after one. Without an `archive` every tile stays in memory
+    and `window` must keep all. With one, the mapper goes on from what the archive holds of this robot.
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        lattice: Lattice,
+        model: Model | None = None,
+        window: Window | None = None,
+        archive: Archive | None = None,
+    ) -> None:
+        if not robot or not robot.isprintable() or len(robot) > 200:
+            raise InputError(f"robot name {robot!r}: give 1 to 200 printable characters")
+        if archive is None and window is not None and not isinstance(window, KeepAll):
+            raise InputError("a window that drops tiles needs an archive to drop them into")
+        self.robot = robot
+        self.lattice = lattice
+        self.model = model or make_model("elevation")
+        self.paging = Paging()
+        self.seconds = {"observe": 0.0, "load": 0.0, "merge": 0.0, "evict": 0.0}
+        """Time spent, by stage."""
+        self._observe = self.model.observer(lattice)
+        self._window = window or KeepAll(lattice.tile_m)
+        self._archive = archive
+        self._resident: dict[TileKey, Tile] = {}
+        self._revisions = archive.revisions(robot) if archive else {}
+        self._reported = self._revision = max(self._revisions.values(), default=0)
+        self._stamp_ns = 0
+
+    @property
+    def revision(self) -> int:
+        """The number of the newest scan."""
+        return self._revision
+
+    @property
+    def resident_bytes(self) -> int:
+        return sum(tile.nbytes for tile in self._resident.values())
+
+    @property
+    def keys(self) -> list[TileKey]:
+        """Every tile that the robot ever touched, in memory or not, sorted."""
+        return sorted(self._revisions)
+
+    def integrate(self, scan: Scan) -> Integrated:
+        """Take a scan into the map: observe, page in, merge, page out."""
+        t0 = perf_counter()
+        patch = self._observe(scan)
+        t1 = perf_counter()
+        tiles = [self._tile(key) for key in patch.keys]
+        t2 = perf_counter()
+        self._revision += 1
+        self._stamp_ns = max(self._stamp_ns, scan.stamp_ns)
+        self._merge(tiles, patch, scan.stamp_ns)
+        t3 = perf_counter()
+        if self._window.move(*scan.T_world_sensor.position[:2]):
+            self._evict(keep=set(patch.keys))
+        for stage, seconds in zip(
+            self.seconds, (t1 - t0, t2 - t1, t3 - t2, perf_counter() - t3), strict=True
+        ):
+            self.seconds[stage] += seconds
+        return Integrated(self._revision, patch.points, patch.dropped, len(patch.at), len(patch.keys))
+
+    def delta(self, since: int | None = None) -> Delta:
+        """The cells that changed after revision `since`; by default, after the last delta that was asked for that way."""
+        start = self._reported if since is None else since
+        keys = [key for key, revision in sorted(self._revisions.items()) if revision > start]
+        parts = (self._changed(key, start) for key in keys)
+        delta = self._delta_of(tuple(part for part in parts if len(part.at)), start)
+        if since is None:
+            for key in keys:
+                if key in self._resident:
+                    self._resident[key].reported(self._revision)
+            self._reported = self._revision
+        return delta
+
+    def _delta_of(self, tiles: tuple[TileCells, ...], since: int) -> Delta:
+        return Delta(
+            map_id(self.model.name, self.lattice), self.robot, since, self._revision, self._stamp_ns, tiles
+        )
+
+    def _changed(self, key: TileKey, since: int) -> TileCells:
+        if key in self._resident:
+            return TileCells(key, *self._resident[key].changed(since))
+        held = self._load(key)
+        newer = held.cells["revision"] > since
+        return TileCells(key, held.at[newer], held.cells[newer])
+
+    def _load(self, key: TileKey) -> TileCells:
+        held = self._archive.load(self.robot, key) if self._archive else None
+        if held is None:
+            raise InputError(f"tile {tuple(key)} of robot '{self.robot}' is not in the archive any more")
+        return held
+
+    def _tile(self, key: TileKey) -> Tile:
+        """The tile, from memory, from the archive, or new."""
+        tile = self._resident.get(key)
+        if tile is None:
+            tile = self._resident[key] = self.model.tile(self.lattice)
+            if key in self._revisions:
+                held = self._load(key)
+                tile.put(held.at, held.cells)
+                self.paging.loads += 1
+            self.paging.most_resident = max(self.paging.most_resident, len(self._resident))
+            self.paging.most_bytes = max(self.paging.most_bytes, self.resident_bytes)
+        return tile
+
+    def _merge(self, tiles: list[Tile], patch: Patch, stamp_ns: int) -> None:
+        for t, (key, tile) in enumerate(zip(patch.keys, tiles, strict=True)):
+            part = slice(patch.starts[t], patch.starts[t + 1])
+            tile.merge(patch.at[part], patch.records[part], stamp_ns, self._revision)
+            self._revisions[key] = self._revision
+
+    def _evict(self, keep: set[TileKey]) -> None:
+        """Report and drop what left the window, except what this very scan touched: the next one will, too."""
+        gone = [key for key in self._resident if key not in keep and not self._window.holds(key)]
+        unsaved = (self._changed(key, self._reported) for key in gone)
+        parts = tuple(part for part in unsaved if len(part.at))
+        if parts and self._archive:
+            self._archive.accept(self._delta_of(parts, self._reported))
+        for key in gone:
+            del self._resident[key]
+        self.paging.evictions += len(gone)

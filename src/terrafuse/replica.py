@@ -1,0 +1,120 @@
+"""A replica: contributions in, the global map out.
+
+The global map is a function of the contributions that a replica holds and of nothing else, so two replicas that hold
+the same ones hold the same map, byte for byte.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from terrafuse.exchange.delta import Delta
+from terrafuse.lattice import Lattice
+from terrafuse.models import make_model
+from terrafuse.models.base import Model, fold
+from terrafuse.store.base import Store
+from terrafuse.store.memory import MemoryStore
+from terrafuse.types import Array, Bounds, TileKey
+
+if TYPE_CHECKING:
+    import xarray
+
+CACHED_TILES = 16
+
+
+class Replica:
+    """The fold of a store's contributions; in memory unless a `store` is given.
+
+    `only` and `without` leave robots out of the map.
+    """
+
+    def __init__(
+        self,
+        lattice: Lattice | None = None,
+        model: Model | None = None,
+        *,
+        store: Store | None = None,
+        only: Collection[str] | None = None,
+        without: Collection[str] = (),
+    ) -> None:
+        if store is None:
+            if lattice is None:
+                raise ValueError("give a lattice, or a store that has one")
+            store = MemoryStore(lattice, model or make_model("elevation"))
+        self.store = store
+        self.lattice = store.map.lattice
+        self.model = store.model
+        self._only, self._without = only, frozenset(without)
+        self._cache: dict[TileKey, Array] = {}
+
+    def apply(self, delta: Delta) -> bool:
+        """Take a robot's delta in; False if it was here already. Order, repetition and delay make no difference.
+
+        Raises DeltaError for a delta of another map; nothing is then changed.
+        """
+        news = self.store.accept(delta)
+        if news:
+            for tile in delta.tiles:
+                self._cache.pop(tile.key, None)
+        return news
+
+    @property
+    def robots(self) -> list[str]:
+        """The robots whose contributions make this map, sorted."""
+        chosen = [name for name in self.store.robots() if self._only is None or name in self._only]
+        return [name for name in chosen if name not in self._without]
+
+    @property
+    def keys(self) -> list[TileKey]:
+        """The tiles that somebody reported, sorted."""
+        return self.store.keys()
+
+    def cells(self, key: TileKey) -> Array:
+        """The global cells of a tile, (T, T) records, [j, i]; unknown where nobody reported. Read-only."""
+        if key not in self._cache:
+            while len(self._cache) >= CACHED_TILES:
+                self._cache.pop(next(iter(self._cache)))
+            self._cache[key] = self._fold(key)
+        return self._cache[key]
+
+    def _fold(self, key: TileKey) -> Array:
+        side = self.lattice.tile_cells
+        held = [part for name in self.robots if (part := self.store.load(name, key)) is not None]
+        fused = np.zeros(side * side, self.model.cell)
+        if held:
+            somewhere = np.unique(np.concatenate([part.at for part in held]))
+            stack = [np.zeros(len(somewhere), self.model.cell) for _ in held]
+            for cells, part in zip(stack, held, strict=True):
+                cells[np.searchsorted(somewhere, part.at)] = part.cells
+            fused[somewhere] = fold(self.model, stack)
+        fused.flags.writeable = False
+        return fused.reshape(side, side)
+
+    def layer(
+        self, name: str, bounds: Bounds | tuple[float, float, float, float] | None = None
+    ) -> xarray.DataArray:
+        """A layer of the global map within (west, south, east, north) metres, or all of it, as an xarray.DataArray.
+
+        Dimensions (y, x), y falling (north-up); coordinates are cell centres; unknown is NaN; the CRS is in the
+        coordinate `spatial_ref` (CF grid mapping, as rioxarray and GDAL read it). Raises InputError for a layer that
+        the model does not have, LatticeError for bounds without a cell.
+        """
+        from terrafuse.export.array import data_array
+
+        return data_array(self, name, Bounds(*bounds) if bounds is not None else None)
+
+    def digest(self) -> str:
+        """SHA-256 of the global map's cells: equal at every node that holds the same contributions."""
+        total = hashlib.sha256()
+        for key in self.keys:
+            cells = self.cells(key).reshape(-1)
+            at = np.flatnonzero(self.model.known(cells))
+            if len(at):
+                total.update(np.array([*key, len(at)], "<i8").tobytes())
+                total.update(at.astype("<i4").tobytes())
+                total.update(cells[at].tobytes())
+        return total.hexdigest()

@@ -1,0 +1,1 @@
+"""Where contributions, their history and the robots' poses live."""

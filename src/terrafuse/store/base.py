@@ -1,0 +1,94 @@
+"""What a store does. A robot's contribution to a tile is the newest state of every cell that it reported there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from terrafuse.errors import DeltaError
+from terrafuse.exchange.delta import Delta, MapId, TileCells
+from terrafuse.models.base import Model
+from terrafuse.types import Array, Pose, Stamp, TileKey
+
+
+@dataclass(frozen=True, eq=False)
+class PathPoint:
+    """Where a robot's sensor was: T_world_sensor at a stamp."""
+
+    stamp_ns: Stamp
+    T_world_sensor: Pose
+
+
+@dataclass(frozen=True)
+class HistoryEntry:
+    """A delta that was accepted."""
+
+    sequence: int
+    robot: str
+    since: int
+    revision: int
+    stamp_ns: Stamp
+    arrival_ns: Stamp
+    cells: int
+    nbytes: int
+
+
+class Store(Protocol):
+    """Contributions of one map. Everything that `accept` took is there after a crash; a delta is in whole or not at all."""
+
+    @property
+    def map(self) -> MapId: ...
+
+    @property
+    def model(self) -> Model: ...
+
+    def accept(self, delta: Delta, path: Iterable[PathPoint] = ()) -> bool:
+        """Take a delta in, with the poses of its scans; False if this very delta was there already.
+
+        Raises DeltaError for one of another map. Order does not matter.
+        """
+
+    def robots(self) -> list[str]:
+        """Names, sorted."""
+
+    def keys(self) -> list[TileKey]:
+        """Tiles that anybody reported, sorted."""
+
+    def revisions(self, robot: str) -> dict[TileKey, int]:
+        """The newest revision of each tile of this robot."""
+
+    def load(self, robot: str, key: TileKey) -> TileCells | None:
+        """The robot's contribution to a tile."""
+
+    def poses(self, robot: str) -> list[PathPoint]:
+        """In stamp order."""
+
+    def history(self) -> list[HistoryEntry]:
+        """In the order of arrival."""
+
+
+def check_delta(delta: Delta, map_: MapId, model: Model) -> None:
+    """Raise DeltaError unless the delta belongs to this map."""
+    if delta.map != map_:
+        raise DeltaError(f"a delta of {delta.map} does not belong to the map {map_}")
+    side = map_.lattice.tile_cells
+    for tile in delta.tiles:
+        if tile.cells.dtype != model.cell:
+            raise DeltaError(f"cells of another kind than the model '{model.name}' has")
+        if len(tile.at) and not (0 <= tile.at.min() and tile.at.max() < side * side):
+            raise DeltaError(f"a cell outside tile {tuple(tile.key)}")
+
+
+def newest(dense: Array, at: Array, cells: Array) -> None:
+    """Put cells (K,) into a dense tile (T²,) where their revision is newer than what is there."""
+    newer = cells["revision"] > dense["revision"][at]
+    dense[at[newer]] = cells[newer]
+
+
+def sparse(dense: Array) -> tuple[Array, Array]:
+    """(positions, cells) that a dense tile holds."""
+    at = np.flatnonzero(dense["revision"]).astype(np.int32)
+    return at, dense[at]

@@ -1,0 +1,75 @@
+"""A store in memory: for replicas that need no disk, and for tests."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+
+import numpy as np
+
+from terrafuse.exchange.delta import Delta, MapId, TileCells, map_id
+from terrafuse.lattice import Lattice
+from terrafuse.models.base import Model
+from terrafuse.store.base import HistoryEntry, PathPoint, check_delta, newest, sparse
+from terrafuse.types import Array, TileKey
+
+
+class MemoryStore:
+    """Contributions as dense tiles; history keeps what the entries say, not the cells."""
+
+    def __init__(self, lattice: Lattice, model: Model) -> None:
+        self._map = map_id(model.name, lattice)
+        self._model = model
+        self._tiles: dict[str, dict[TileKey, Array]] = {}
+        self._paths: dict[str, list[PathPoint]] = {}
+        self._history: dict[tuple[str, int, int, str], HistoryEntry] = {}
+
+    @property
+    def map(self) -> MapId:
+        return self._map
+
+    @property
+    def model(self) -> Model:
+        return self._model
+
+    def accept(self, delta: Delta, path: Iterable[PathPoint] = ()) -> bool:
+        check_delta(delta, self._map, self._model)
+        if delta.identity in self._history:
+            return False
+        tiles = self._tiles.setdefault(delta.robot, {})
+        side = self._map.lattice.tile_cells
+        for tile in delta.tiles:
+            if tile.key not in tiles:
+                tiles[tile.key] = np.zeros(side * side, self._model.cell)
+            newest(tiles[tile.key], tile.at, tile.cells)
+        self._paths.setdefault(delta.robot, []).extend(path)
+        self._history[delta.identity] = HistoryEntry(
+            len(self._history) + 1,
+            delta.robot,
+            delta.since,
+            delta.revision,
+            delta.stamp_ns,
+            time.time_ns(),
+            delta.cell_count,
+            sum(tile.cells.nbytes for tile in delta.tiles),
+        )
+        return True
+
+    def robots(self) -> list[str]:
+        return sorted(self._tiles)
+
+    def keys(self) -> list[TileKey]:
+        return sorted({key for tiles in self._tiles.values() for key in tiles})
+
+    def revisions(self, robot: str) -> dict[TileKey, int]:
+        return {key: int(cells["revision"].max()) for key, cells in self._tiles.get(robot, {}).items()}
+
+    def load(self, robot: str, key: TileKey) -> TileCells | None:
+        dense = self._tiles.get(robot, {}).get(key)
+        return None if dense is None else TileCells(key, *sparse(dense))
+
+    def poses(self, robot: str) -> list[PathPoint]:
+        return sorted(self._paths.get(robot, []), key=lambda point: point.stamp_ns)
+
+    def history(self) -> list[HistoryEntry]:
+        return list(self._history.values())

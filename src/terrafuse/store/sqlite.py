@@ -1,0 +1,285 @@
+"""The embedded store: one SQLite file.
+
+History is the journal: accepting a delta appends its cells, a transaction a delta. A contribution is a base state and
+the history after it; when the tail outweighs the base it is folded in, so that writing costs O(log) a cell however
+often it changes. A crash leaves whole deltas and nothing else.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import threading
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from terrafuse.errors import OutputError, StoreError, StoreMismatch
+from terrafuse.exchange.codec import pack_cells, unpack_cells
+from terrafuse.exchange.delta import Delta, MapId, TileCells, map_id
+from terrafuse.lattice import Lattice
+from terrafuse.models import make_model
+from terrafuse.models.base import Model
+from terrafuse.store.base import HistoryEntry, PathPoint, check_delta, newest, sparse
+from terrafuse.types import Array, Pose, TileKey
+
+SCHEMA = 1
+APPLICATION_ID = 0x54465553  # "TFUS"
+MIN_TAIL_BYTES = 1 << 16
+
+TABLES = """
+CREATE TABLE meta (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE deltas (
+    sequence INTEGER PRIMARY KEY, robot TEXT NOT NULL, since INTEGER NOT NULL, revision INTEGER NOT NULL,
+    tiles TEXT NOT NULL, stamp_ns INTEGER NOT NULL, arrival_ns INTEGER NOT NULL, cells INTEGER NOT NULL,
+    nbytes INTEGER NOT NULL, UNIQUE (robot, since, revision, tiles));
+CREATE TABLE history (
+    sequence INTEGER NOT NULL, robot TEXT NOT NULL, level INTEGER NOT NULL, x INTEGER NOT NULL, y INTEGER NOT NULL,
+    count INTEGER NOT NULL, cells BLOB NOT NULL, PRIMARY KEY (robot, level, x, y, sequence)) WITHOUT ROWID;
+CREATE TABLE contributions (
+    robot TEXT NOT NULL, level INTEGER NOT NULL, x INTEGER NOT NULL, y INTEGER NOT NULL,
+    revision INTEGER NOT NULL, stamp_ns INTEGER NOT NULL,
+    through INTEGER NOT NULL, tail_bytes INTEGER NOT NULL, count INTEGER NOT NULL, cells BLOB NOT NULL,
+    PRIMARY KEY (robot, level, x, y));
+CREATE TABLE poses (
+    robot TEXT NOT NULL, stamp_ns INTEGER NOT NULL, pose BLOB NOT NULL, covariance BLOB,
+    PRIMARY KEY (robot, stamp_ns)) WITHOUT ROWID;
+"""
+"""`contributions.cells` is the state up to history sequence `through`; `revision` and `stamp_ns` are of all of it."""
+
+
+class SqliteStore:
+    """Open with `SqliteStore.create(...)` or `SqliteStore.open(...)`. May be used from several threads."""
+
+    def __init__(self, path: Path, connection: sqlite3.Connection, map_: MapId, model: Model) -> None:
+        self.file = path
+        self._connection = connection
+        self._map = map_
+        self._model = model
+        self._lock = threading.RLock()
+
+    @classmethod
+    def create(cls, path: Path, lattice: Lattice, model: Model) -> SqliteStore:
+        """A new, empty store; raises StoreError if the file exists, OutputError if it can't be written."""
+        if path.exists():
+            raise StoreError(f"{path}: exists already; open it, or choose another name")
+        with _faults(path):
+            connection = _connect(path)
+            connection.executescript(f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA journal_mode = WAL;")
+            map_ = map_id(model.name, lattice)
+            with connection:
+                connection.execute("BEGIN IMMEDIATE")
+                for statement in filter(str.strip, TABLES.split(";")):
+                    connection.execute(statement)
+                connection.executemany(
+                    "INSERT INTO meta VALUES (?, ?)",
+                    [("map", json.dumps(asdict(map_))), ("model", json.dumps(model.settings()))],
+                )
+                connection.execute(f"PRAGMA user_version = {SCHEMA}")
+        return cls(path, connection, map_, model)
+
+    @classmethod
+    def open(cls, path: Path) -> SqliteStore:
+        """An existing store; raises StoreMismatch for what is no store, or one of a newer schema."""
+        if not path.is_file():
+            raise StoreMismatch(f"{path}: no such store; make one with 'terrafuse map … --out DIR'")
+        with _faults(path):
+            connection = _connect(path)
+            _check_schema(path, connection)
+            meta = dict(connection.execute("SELECT name, value FROM meta"))
+        map_ = MapId(**json.loads(meta["map"]))
+        return cls(path, connection, map_, make_model(map_.model, json.loads(meta["model"])))
+
+    @property
+    def map(self) -> MapId:
+        return self._map
+
+    @property
+    def model(self) -> Model:
+        return self._model
+
+    def close(self) -> None:
+        """Fold the write-ahead log in and close. The file is then whole by itself."""
+        with self._lock:
+            self._connection.close()
+
+    def __enter__(self) -> SqliteStore:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def accept(self, delta: Delta, path: Iterable[PathPoint] = ()) -> bool:
+        check_delta(delta, self._map, self._model)
+        frames = [(tile, pack_cells(tile.at, tile.cells)) for tile in delta.tiles if len(tile.at)]
+        with self._transaction() as connection:
+            sequence = self._register(delta, sum(len(frame) for _, frame in frames))
+            if sequence is None:
+                return False
+            connection.executemany(
+                "INSERT OR IGNORE INTO poses VALUES (?, ?, ?, NULL)",
+                [
+                    (delta.robot, p.stamp_ns, p.T_world_sensor.matrix[:3].astype("<f8").tobytes())
+                    for p in path
+                ],
+            )
+            for tile, frame in frames:
+                self._append(delta, sequence, tile, frame)
+        return True
+
+    def _register(self, delta: Delta, nbytes: int) -> int | None:
+        """The delta's place in history; None if it is there already."""
+        cursor = self._connection.execute(
+            "INSERT OR IGNORE INTO deltas VALUES (NULL, ?, ?, ?, ?, ?, ?, ?, ?)",
+            (*delta.identity, delta.stamp_ns, time.time_ns(), delta.cell_count, nbytes),
+        )
+        return cursor.lastrowid if cursor.rowcount else None
+
+    def _append(self, delta: Delta, sequence: int, tile: TileCells, frame: bytes) -> None:
+        where = (delta.robot, tile.key.level, tile.key.x, tile.key.y)
+        self._connection.execute(
+            "INSERT INTO history VALUES (?, ?, ?, ?, ?, ?, ?)", (sequence, *where, len(tile.at), frame)
+        )
+        self._connection.execute(
+            "INSERT INTO contributions VALUES (?, ?, ?, ?, ?, ?, 0, ?, 0, x'') "
+            "ON CONFLICT (robot, level, x, y) DO UPDATE SET revision = max(revision, excluded.revision), "
+            "stamp_ns = max(stamp_ns, excluded.stamp_ns), tail_bytes = tail_bytes + excluded.tail_bytes",
+            (*where, int(tile.cells["revision"].max()), int(tile.cells["stamp"].max()), len(frame)),
+        )
+        tail, base = self._connection.execute(
+            "SELECT tail_bytes, length(cells) FROM contributions WHERE robot = ? AND level = ? AND x = ? AND y = ?",
+            where,
+        ).fetchone()
+        if tail > max(2 * base, MIN_TAIL_BYTES):
+            self._rebase(where, sequence)
+
+    def _rebase(self, where: tuple[str, int, int, int], through: int) -> None:
+        """Fold a contribution's tail into its base."""
+        at, cells = sparse(self._dense(where))
+        self._connection.execute(
+            "UPDATE contributions SET through = ?, tail_bytes = 0, count = ?, cells = ? "
+            "WHERE robot = ? AND level = ? AND x = ? AND y = ?",
+            (through, len(at), pack_cells(at, cells), *where),
+        )
+
+    def _dense(self, where: tuple[str, int, int, int]) -> Array:
+        """A contribution as (T²,) cells."""
+        side = self._map.lattice.tile_cells
+        dense = np.zeros(side * side, self._model.cell)
+        for count, frame in self._frames(where):
+            newest(dense, *unpack_cells(frame, count, self._model.cell, side))
+        return dense
+
+    def _frames(self, where: tuple[str, int, int, int]) -> Iterator[tuple[int, bytes]]:
+        place = "robot = ? AND level = ? AND x = ? AND y = ?"
+        base = self._connection.execute(
+            f"SELECT through, count, cells FROM contributions WHERE {place}", where
+        )
+        through = 0
+        for through, count, frame in base:
+            if count:
+                yield count, frame
+        yield from self._connection.execute(
+            f"SELECT count, cells FROM history WHERE {place} AND sequence > ? ORDER BY sequence",
+            (*where, through),
+        )
+
+    def robots(self) -> list[str]:
+        return [name for (name,) in self._read("SELECT DISTINCT robot FROM deltas ORDER BY robot")]
+
+    def keys(self) -> list[TileKey]:
+        return sorted(TileKey(*row) for row in self._read("SELECT DISTINCT x, y, level FROM contributions"))
+
+    def revisions(self, robot: str) -> dict[TileKey, int]:
+        rows = self._read("SELECT x, y, level, revision FROM contributions WHERE robot = ?", (robot,))
+        return {TileKey(x, y, level): revision for x, y, level, revision in rows}
+
+    def load(self, robot: str, key: TileKey) -> TileCells | None:
+        with self._lock, _faults(self.file):
+            at, cells = sparse(self._dense((robot, key.level, key.x, key.y)))
+        return TileCells(key, at, cells) if len(at) else None
+
+    def poses(self, robot: str) -> list[PathPoint]:
+        rows = self._read("SELECT stamp_ns, pose FROM poses WHERE robot = ? ORDER BY stamp_ns", (robot,))
+        return [PathPoint(stamp, _pose(blob)) for stamp, blob in rows]
+
+    def history(self) -> list[HistoryEntry]:
+        rows = self._read(
+            "SELECT sequence, robot, since, revision, stamp_ns, arrival_ns, cells, nbytes FROM deltas ORDER BY sequence"
+        )
+        return [HistoryEntry(*row) for row in rows]
+
+    def note(self, name: str, value: Any) -> None:
+        """Keep a JSON value under a name."""
+        with self._transaction() as connection:
+            connection.execute(
+                "INSERT OR REPLACE INTO meta VALUES (?, ?)", (f"note:{name}", json.dumps(value))
+            )
+
+    def notes(self) -> Mapping[str, Any]:
+        rows = self._read("SELECT name, value FROM meta WHERE name LIKE 'note:%' ORDER BY name")
+        return {name.removeprefix("note:"): json.loads(value) for name, value in rows}
+
+    def _read(self, query: str, values: tuple[Any, ...] = ()) -> list[Any]:
+        with self._lock, _faults(self.file):
+            return self._connection.execute(query, values).fetchall()
+
+    @contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
+        with self._lock, _faults(self.file), self._connection:
+            self._connection.execute("BEGIN IMMEDIATE")
+            yield self._connection
+
+
+def _connect(path: Path) -> sqlite3.Connection:
+    connection = sqlite3.connect(path, timeout=30, isolation_level=None, check_same_thread=False)
+    # FULL: what was acknowledged survives a power cut too, not only a killed process.
+    connection.executescript("PRAGMA synchronous = FULL; PRAGMA cache_size = -32768;")
+    return connection
+
+
+def _check_schema(path: Path, connection: sqlite3.Connection) -> None:
+    (application,) = connection.execute("PRAGMA application_id").fetchone()
+    (schema,) = connection.execute("PRAGMA user_version").fetchone()
+    if application != APPLICATION_ID:
+        connection.close()
+        raise StoreMismatch(f"{path}: an SQLite file, but not a terrafuse store")
+    if schema > SCHEMA:
+        connection.close()
+        raise StoreMismatch(
+            f"{path}: a store of schema {schema}, this terrafuse reads up to {SCHEMA}; upgrade: pip install -U terrafuse"
+        )
+    if schema < SCHEMA:
+        connection.close()
+        raise StoreMismatch(f"{path}: a store that was never finished; delete it and map again")
+
+
+def _pose(blob: bytes) -> Pose:
+    matrix = np.eye(4)
+    matrix[:3] = np.frombuffer(blob, "<f8").reshape(3, 4)
+    return Pose(matrix)
+
+
+@contextmanager
+def _faults(path: Path) -> Iterator[None]:
+    """SQLite's faults as ours, with the file and the remedy."""
+    try:
+        yield
+    except sqlite3.DatabaseError as error:
+        text = str(error)
+        if "full" in text or "disk I/O" in text:
+            raise OutputError(
+                f"{path}: can't be written ({text}); free some space and run again to go on"
+            ) from error
+        if "unable to open" in text or "readonly" in text:
+            raise OutputError(
+                f"{path}: can't be opened for writing ({text}); check the folder's permissions"
+            ) from error
+        if "not a database" in text:
+            raise StoreMismatch(f"{path}: not a terrafuse store") from error
+        raise StoreError(f"{path}: {text}") from error

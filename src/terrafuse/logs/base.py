@@ -26,8 +26,8 @@ class Log:
 
     `scans()` starts a fresh pass over it, in stamp order; it may be called more than once.
     `count` is how many records a pass yields, where that is known beforehand (for progress).
-    `crs` is the CRS of the world frame, where the recording states one; `georeferenced` says that coordinates are
-    already in it (airborne LAS), so that no origin is added.
+    `crs` is the CRS of the world frame, where the recording states one; `georeferenced` says that coordinates
+    are already in it (airborne LAS), so that no origin is added.
     """
 
     path: Path
@@ -40,7 +40,8 @@ class Log:
 
 @dataclass(frozen=True)
 class Reader:
-    """`matches(path)` looks at names and first bytes only; `open(source)` checks everything that is cheap to check.
+    """`matches(path)` looks at names and first bytes only; `open(source)` checks everything that is cheap to
+    check.
 
     `options` are the keys it takes after the `?`, each with a line of help.
     """

@@ -27,7 +27,7 @@ class LogError(InputError):
     """A recording that is missing, of no known format, or damaged. Names the file and, where known, the record."""
 
 
-class MissingExtra(InputError):
+class MissingExtra(InputError):  # noqa: N818, what is missing is an extra
     """An optional dependency is not installed. The message has the `pip install` line that brings it."""
 
     def __init__(self, what: str, package: str, extra: str) -> None:
@@ -46,7 +46,7 @@ class StoreError(TerrafuseError):
     """The store can't be read or written."""
 
 
-class StoreMismatch(StoreError, InputError):
+class StoreMismatch(StoreError, InputError):  # noqa: N818, reads as one
     """A store that can't be used as asked: a newer schema, another lattice or model, not a store at all."""
 
     exit_code = 2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Protocol
@@ -12,6 +12,7 @@ from terrafuse.exchange.delta import Delta, TileCells, map_id
 from terrafuse.lattice import Lattice
 from terrafuse.models import make_model
 from terrafuse.models.base import Model, Patch
+from terrafuse.store.base import PathPoint
 from terrafuse.tile import Tile
 from terrafuse.types import Scan, TileKey
 from terrafuse.window import KeepAll, Window
@@ -20,9 +21,11 @@ from terrafuse.window import KeepAll, Window
 class Archive(Protocol):
     """Where tiles go that leave the window: any store, or a `WriteBehind` of one."""
 
-    def accept(self, delta: Delta) -> bool: ...
+    def accept(self, delta: Delta, path: Iterable[PathPoint] = ()) -> bool: ...
 
     def load(self, robot: str, key: TileKey) -> TileCells | None: ...
+
+    def revision(self, robot: str) -> int: ...
 
     def revisions(self, robot: str) -> dict[TileKey, int]: ...
 
@@ -54,7 +57,8 @@ class Mapper:
     """The map that one robot makes of its own scans, on a shared lattice.
 
     Each scan is a revision; `delta(since)` says what changed after one. Without an `archive` every tile stays in memory
-    and `window` must keep all. With one, the mapper goes on from what the archive holds of this robot.
+    and `window` must keep all. With one, `commit()` writes what is new to it, tiles that leave the window are committed
+    and dropped, and the mapper goes on from the newest revision that the archive holds of this robot.
     """
 
     def __init__(
@@ -80,8 +84,9 @@ class Mapper:
         self._archive = archive
         self._resident: dict[TileKey, Tile] = {}
         self._revisions = archive.revisions(robot) if archive else {}
-        self._reported = self._revision = max(self._revisions.values(), default=0)
+        self._committed = self._revision = archive.revision(robot) if archive else 0
         self._stamp_ns = 0
+        self._path: list[PathPoint] = []
 
     @property
     def revision(self) -> int:
@@ -107,6 +112,7 @@ class Mapper:
         self._revision += 1
         self._stamp_ns = max(self._stamp_ns, scan.stamp_ns)
         self._merge(tiles, patch, scan.stamp_ns)
+        self._path.append(PathPoint(scan.stamp_ns, scan.T_world_sensor))
         t3 = perf_counter()
         if self._window.move(*scan.T_world_sensor.position[:2]):
             self._evict(keep=set(patch.keys))
@@ -116,23 +122,21 @@ class Mapper:
             self.seconds[stage] += seconds
         return Integrated(self._revision, patch.points, patch.dropped, len(patch.at), len(patch.keys))
 
-    def delta(self, since: int | None = None) -> Delta:
-        """The cells that changed after revision `since`; by default, after the last delta that was asked for that way."""
-        start = self._reported if since is None else since
-        keys = [key for key, revision in sorted(self._revisions.items()) if revision > start]
-        parts = (self._changed(key, start) for key in keys)
-        delta = self._delta_of(tuple(part for part in parts if len(part.at)), start)
-        if since is None:
-            for key in keys:
-                if key in self._resident:
-                    self._resident[key].reported(self._revision)
-            self._reported = self._revision
-        return delta
+    def delta(self, since: int = 0) -> Delta:
+        """The cells that changed after revision `since`, as absolute states. Asking changes nothing."""
+        keys = [key for key, revision in sorted(self._revisions.items()) if revision > since]
+        changed = (self._changed(key, since) for key in keys)
+        tiles = tuple(part for part in changed if len(part.at))
+        return Delta(map_id(self.model.name, self.lattice), self.robot, since, self._revision, self._stamp_ns, tiles)
 
-    def _delta_of(self, tiles: tuple[TileCells, ...], since: int) -> Delta:
-        return Delta(
-            map_id(self.model.name, self.lattice), self.robot, since, self._revision, self._stamp_ns, tiles
-        )
+    def commit(self) -> Delta:
+        """Write what changed since the last commit to the archive, whole; returns it."""
+        delta = self.delta(self._committed)
+        if self._archive is not None and self._revision > self._committed:
+            self._archive.accept(delta, self._path)
+        self._committed = self._revision
+        self._path = []
+        return delta
 
     def _changed(self, key: TileKey, since: int) -> TileCells:
         if key in self._resident:
@@ -167,12 +171,14 @@ class Mapper:
             self._revisions[key] = self._revision
 
     def _evict(self, keep: set[TileKey]) -> None:
-        """Report and drop what left the window, except what this very scan touched: the next one will, too."""
+        """Drop what left the window, except what this very scan touched: the next one will, too.
+
+        All that is new is committed first, not only the dropped tiles: every state of the archive is then the map after
+        some scan, from which a restarted robot can go on.
+        """
         gone = [key for key in self._resident if key not in keep and not self._window.holds(key)]
-        unsaved = (self._changed(key, self._reported) for key in gone)
-        parts = tuple(part for part in unsaved if len(part.at))
-        if parts and self._archive:
-            self._archive.accept(self._delta_of(parts, self._reported))
-        for key in gone:
-            del self._resident[key]
-        self.paging.evictions += len(gone)
+        if gone and self._archive is not None:
+            self.commit()
+            for key in gone:
+                del self._resident[key]
+            self.paging.evictions += len(gone)

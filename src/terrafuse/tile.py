@@ -31,10 +31,10 @@ class Tile(Protocol):
         """Take in a patch's records at distinct positions. `revision` is larger than any before."""
 
     def changed(self, since: int) -> tuple[Array, Array]:
-        """(positions rising, cells) of what changed after revision `since`."""
+        """(positions rising, cells) of what changed after revision `since`.
 
-    def reported(self, revision: int) -> None:
-        """What changed up to `revision` has been handed on: `changed(revision)` is then cheap."""
+        Cheap where `since` grows from call to call, as it does for whoever follows the map.
+        """
 
     def put(self, at: Array, cells: Array) -> None:
         """Set the cells at these positions: how a tile comes back from a store."""
@@ -59,9 +59,6 @@ class DenseTile:
     def changed(self, since: int) -> tuple[Array, Array]:
         at = np.flatnonzero(self.cells["revision"] > since).astype(np.int32)
         return at, self.cells[at]
-
-    def reported(self, revision: int) -> None:
-        """Nothing to prepare: `changed` looks at every cell."""
 
     def put(self, at: Array, cells: Array) -> None:
         self.cells[at] = cells

@@ -174,11 +174,7 @@ class ElevationTile:
         self.revision = revision
 
     def changed(self, since: int) -> tuple[Array, Array]:
-        if since < self._reported:
-            at = np.flatnonzero(self._surface["revision"] > since).astype(np.int32)
-        else:
-            at = np.sort(self._changed[: self._count])
-            at = at[self._surface["revision"][at] > since]
+        at = self._changed_after(since)
         cells = np.zeros(len(at), absorb.CELL)
         surface, ground = self._surface[at], self._ground[at]
         for name in absorb.SURFACE.names or ():
@@ -186,12 +182,16 @@ class ElevationTile:
         cells.view(absorb.GROUND_OF_CELL)[:] = ground
         return at, cells
 
-    def reported(self, revision: int) -> None:
-        at = self._changed[: self._count]
-        newer = at[self._surface["revision"][at] > revision]
-        self._changed[: len(newer)] = newer
-        self._count = len(newer)
-        self._reported = max(self._reported, revision)
+    def _changed_after(self, since: int) -> Array:
+        """Positions, rising. The list that `merge` keeps starts where the last question ended."""
+        if since < self._reported:
+            return np.flatnonzero(self._surface["revision"] > since).astype(np.int32)
+        at = np.sort(self._changed[: self._count])
+        at = at[self._surface["revision"][at] > since]
+        self._changed[: len(at)] = at
+        self._count = len(at)
+        self._reported = since
+        return at
 
     def put(self, at: Array, cells: Array) -> None:
         surface = np.zeros(len(at), absorb.SURFACE)

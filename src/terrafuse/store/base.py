@@ -37,7 +37,7 @@ class HistoryEntry:
 
 
 class Store(Protocol):
-    """Contributions of one map. Everything that `accept` took is there after a crash; a delta is in whole or not at all."""
+    """Contributions of one map. What `accept` took is there after a crash; a delta is in whole or not at all."""
 
     @property
     def map(self) -> MapId: ...
@@ -56,6 +56,9 @@ class Store(Protocol):
 
     def keys(self) -> list[TileKey]:
         """Tiles that anybody reported, sorted."""
+
+    def revision(self, robot: str) -> int:
+        """The newest revision of any delta of this robot; 0 if there is none."""
 
     def revisions(self, robot: str) -> dict[TileKey, int]:
         """The newest revision of each tile of this robot."""
@@ -76,7 +79,7 @@ def check_delta(delta: Delta, map_: MapId, model: Model) -> None:
         raise DeltaError(f"a delta of {delta.map} does not belong to the map {map_}")
     side = map_.lattice.tile_cells
     for tile in delta.tiles:
-        if tile.cells.dtype != model.cell:
+        if model.cell != tile.cells.dtype:
             raise DeltaError(f"cells of another kind than the model '{model.name}' has")
         if len(tile.at) and not (0 <= tile.at.min() and tile.at.max() < side * side):
             raise DeltaError(f"a cell outside tile {tuple(tile.key)}")

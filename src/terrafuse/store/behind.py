@@ -53,6 +53,9 @@ class WriteBehind:
             newest(dense, part.at, part.cells)
         return TileCells(key, *sparse(dense))
 
+    def revision(self, robot: str) -> int:
+        return self._store.revision(robot)
+
     def revisions(self, robot: str) -> dict[TileKey, int]:
         return self._store.revisions(robot)
 

@@ -61,6 +61,9 @@ class MemoryStore:
     def keys(self) -> list[TileKey]:
         return sorted({key for tiles in self._tiles.values() for key in tiles})
 
+    def revision(self, robot: str) -> int:
+        return max((entry.revision for entry in self._history.values() if entry.robot == robot), default=0)
+
     def revisions(self, robot: str) -> dict[TileKey, int]:
         return {key: int(cells["revision"].max()) for key, cells in self._tiles.get(robot, {}).items()}
 

@@ -195,6 +195,10 @@ class SqliteStore:
     def keys(self) -> list[TileKey]:
         return sorted(TileKey(*row) for row in self._read("SELECT DISTINCT x, y, level FROM contributions"))
 
+    def revision(self, robot: str) -> int:
+        ((newest_revision,),) = self._read("SELECT coalesce(max(revision), 0) FROM deltas WHERE robot = ?", (robot,))
+        return int(newest_revision)
+
     def revisions(self, robot: str) -> dict[TileKey, int]:
         rows = self._read("SELECT x, y, level, revision FROM contributions WHERE robot = ?", (robot,))
         return {TileKey(x, y, level): revision for x, y, level, revision in rows}

@@ -1,0 +1,36 @@
+"""Seconds as text → nanoseconds, and what a file's name says of its time and order."""
+
+from __future__ import annotations
+
+import re
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+
+from terrafuse.logs.options import NS
+from terrafuse.types import Stamp
+
+
+def seconds_to_ns(text: str) -> Stamp:
+    """Exact, since floats of seconds since 1970 are good to 0.2 µs only and equal stamps would not meet.
+
+    Raises ValueError.
+    """
+    try:
+        return int((Decimal(text) * NS).to_integral_value())
+    except (InvalidOperation, OverflowError):
+        raise ValueError(f"'{text}' is not a number of seconds") from None
+
+
+def stamp_of_name(stem: str) -> Stamp | None:
+    """The time in a name like 1305031102.175304 (s), 1305031102 (s) or 315966265259836000 (ns), else None.
+
+    Whole numbers of other lengths are frame numbers (000012), or milli- or microseconds: not told apart.
+    """
+    if re.fullmatch(r"\d+\.\d+", stem) or re.fullmatch(r"\d{9,10}", stem):
+        return seconds_to_ns(stem)
+    return int(stem) if re.fullmatch(r"\d{18,19}", stem) else None
+
+
+def natural_order(path: Path) -> list[tuple[int, str]]:
+    """Sort key: numbers in names count as numbers, so scan_2 comes before scan_10."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]

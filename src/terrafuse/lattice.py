@@ -99,9 +99,7 @@ class Lattice:
         if i1 <= i0 or j1 <= j0:
             raise LatticeError(f"bounds {tuple(bounds)} hold no cell; give west,south,east,north in metres")
         if max(-i0, -j0, i1, j1) > MAX_CELL:
-            raise LatticeError(
-                f"bounds {tuple(bounds)} reach beyond the lattice of {self.resolution_m} m cells"
-            )
+            raise LatticeError(f"bounds {tuple(bounds)} reach beyond the lattice of {self.resolution_m} m cells")
         return i0, j0, i1, j1
 
     def keys_in(self, bounds: Bounds, level: int = 0) -> Iterator[TileKey]:
@@ -115,9 +113,7 @@ class Lattice:
     def coarser(self, factor: int) -> Lattice:
         """The lattice whose cells are `factor`×`factor` of these, in the same tiles."""
         if factor < 1 or self.tile_cells % factor:
-            raise LatticeError(
-                f"factor {factor} does not divide the {self.tile_cells} cells of a tile's side"
-            )
+            raise LatticeError(f"factor {factor} does not divide the {self.tile_cells} cells of a tile's side")
         return Lattice(self.resolution_m * factor, self.tile_m, self.crs)
 
 

@@ -112,13 +112,12 @@ class Mapper:
         self._revision += 1
         self._stamp_ns = max(self._stamp_ns, scan.stamp_ns)
         self._merge(tiles, patch, scan.stamp_ns)
-        self._path.append(PathPoint(scan.stamp_ns, scan.T_world_sensor))
+        if self._archive is not None:
+            self._path.append(PathPoint(scan.stamp_ns, scan.T_world_sensor))
         t3 = perf_counter()
         if self._window.move(*scan.T_world_sensor.position[:2]):
             self._evict(keep=set(patch.keys))
-        for stage, seconds in zip(
-            self.seconds, (t1 - t0, t2 - t1, t3 - t2, perf_counter() - t3), strict=True
-        ):
+        for stage, seconds in zip(self.seconds, (t1 - t0, t2 - t1, t3 - t2, perf_counter() - t3), strict=True):
             self.seconds[stage] += seconds
         return Integrated(self._revision, patch.points, patch.dropped, len(patch.at), len(patch.keys))
 

@@ -7,11 +7,12 @@ the same ones hold the same map, byte for byte.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from terrafuse.errors import InputError
 from terrafuse.exchange.delta import Delta
 from terrafuse.lattice import Lattice
 from terrafuse.models import make_model
@@ -94,9 +95,7 @@ class Replica:
         fused.flags.writeable = False
         return fused.reshape(side, side)
 
-    def layer(
-        self, name: str, bounds: Bounds | tuple[float, float, float, float] | None = None
-    ) -> xarray.DataArray:
+    def layer(self, name: str, bounds: Bounds | tuple[float, float, float, float] | None = None) -> xarray.DataArray:
         """A layer of the global map within (west, south, east, north) metres, or all of it, as an xarray.DataArray.
 
         Dimensions (y, x), y falling (north-up); coordinates are cell centres; unknown is NaN; the CRS is in the
@@ -118,3 +117,11 @@ class Replica:
                 total.update(at.astype("<i4").tobytes())
                 total.update(cells[at].tobytes())
         return total.hexdigest()
+
+
+def check_robots(store: Store, names: Iterable[str]) -> None:
+    """Raise InputError for a robot that never reported to this store."""
+    known = store.robots()
+    for name in names:
+        if name not in known:
+            raise InputError(f"no robot '{name}' in this store; it has: {', '.join(known) or 'none'}")

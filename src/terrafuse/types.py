@@ -20,7 +20,7 @@ Stamp = int
 """Nanoseconds since 1970-01-01 UTC."""
 
 RIGID_TOLERANCE = 1e-3
-"""How far RᵀR may be from the identity: KITTI's printed poses are off by 1e-5, a scaled or sheared matrix by far more."""
+"""How far RᵀR may be from the identity: KITTI's printed poses are off by 1e-5, a sheared matrix by far more."""
 
 
 class TileKey(NamedTuple):
@@ -84,9 +84,7 @@ class Pose:
         quaternion = np.asarray(xyzw, np.float64)
         length = float(np.linalg.norm(quaternion))
         if not np.isfinite(length) or length < 1e-9:
-            raise PoseError(
-                f"quaternion {quaternion.tolist()} has no direction; give x y z w of a unit quaternion"
-            )
+            raise PoseError(f"quaternion {quaternion.tolist()} has no direction; give x y z w of a unit quaternion")
         x, y, z, w = quaternion / length
         rotation = np.array(
             [

@@ -1,7 +1,7 @@
 """Which tiles of a robot's own map stay in memory. The map itself has no bounds.
 
-A policy is a small object in the dict `WINDOWS`; `all` is the null member. Tiles that a scan touches are loaded wherever
-they lie, so no window loses a point; what is outside is written out and dropped when the window moves.
+A policy is a small object in the dict `WINDOWS`; `all` is the null member. Tiles that a scan touches are loaded
+wherever they lie, so no window loses a point; what is outside is written out and dropped when the window moves.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 """The compiled loops. Each stands beside the short NumPy reference that it must equal.
 
-All kernels release the GIL, so that one robot a thread scales, and none uses fast-math: the same bytes on every machine.
+All kernels release the GIL, so that one robot a thread scales, and none uses fast-math: every machine gets the same
+bytes.
 """

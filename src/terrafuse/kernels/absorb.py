@@ -28,8 +28,8 @@ _EVIDENCE = [(name, EVIDENCE[name].str) for name in EVIDENCE.names or ()]
 
 _SURFACE = [*_EVIDENCE, ("stamp", "<i8"), ("revision", "<u4"), ("changes", "<u4"), ("merges", "<u4")]
 
-SURFACE = np.dtype(
-    {  # type: ignore[call-overload]
+SURFACE = np.dtype(  # type: ignore[call-overload]
+    {
         "names": [name for name, _ in _SURFACE],
         "formats": [form for _, form in _SURFACE],
         "offsets": [int(o) for o in np.cumsum([0] + [np.dtype(form).itemsize for _, form in _SURFACE])[:-1]],
@@ -92,11 +92,7 @@ def absorb(own, ground, new, rules):
     ):
         add(own, new)
         return 0
-    if (
-        not new_vertical
-        and ground.n > 0
-        and abs(mean_ticks(ground) - mean_ticks(new)) <= rules.flat_tolerance
-    ):
+    if not new_vertical and ground.n > 0 and abs(mean_ticks(ground) - mean_ticks(new)) <= rules.flat_tolerance:
         take(own, ground)
         zero(ground)
         add(own, new)
@@ -109,7 +105,9 @@ def absorb(own, ground, new, rules):
 
 @njit(cache=True, nogil=True)
 def merge(surface, ground, at, patch, stamp, revision, reported, changed, count, rules):
-    """A robot's tile ← a scan's patch: surface (T²,) SURFACE, ground (T²,) EVIDENCE, at (K,) positions, patch (K,) EVIDENCE.
+    """A robot's tile ← a scan's patch.
+
+    surface (T²,) SURFACE, ground (T²,) EVIDENCE, at (K,) positions, patch (K,) EVIDENCE.
 
     Positions that change for the first time since revision `reported` are appended to `changed` (T² + 1,) after its
     first `count`. Returns the new count.

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from terrafuse.kernels.evidence import EVIDENCE, MAX_Z_M, TICKS_PER_M, empty, hit, ticks
+from terrafuse.kernels.evidence import EVIDENCE, MAX_Z_M, TICKS_PER_M, Z_NONE_MAX, Z_NONE_MIN, empty, hit, ticks
 from terrafuse.kernels.prefetch import DISTANCE, prefetch
 from terrafuse.types import Array, Floats
 
@@ -68,9 +68,7 @@ def place_of(i, j):
 def cell_at(place):
     """(i, j) in the window of a grid index: the inverse of `place_of`."""
     inner = (1 << PATCHWORK_BITS) - 1
-    i = (((place >> (2 * PATCHWORK_BITS)) & ((WINDOW >> PATCHWORK_BITS) - 1)) << PATCHWORK_BITS) | (
-        place & inner
-    )
+    i = (((place >> (2 * PATCHWORK_BITS)) & ((WINDOW >> PATCHWORK_BITS) - 1)) << PATCHWORK_BITS) | (place & inner)
     j = ((place >> (WINDOW_BITS + PATCHWORK_BITS)) << PATCHWORK_BITS) | ((place >> PATCHWORK_BITS) & inner)
     return i, j
 
@@ -225,19 +223,15 @@ def rasterise_reference(
     world = [T[a, 0] * p[:, 0] + T[a, 1] * p[:, 1] + T[a, 2] * p[:, 2] + T[a, 3] for a in range(3)]
     ok = np.isfinite(range2) & (range2 >= near_m**2) & (range2 <= far_m**2) & (np.abs(world[2]) <= MAX_Z_M)
     ij = np.stack([np.floor(world[a][ok] * cells_per_m).astype(np.int64) for a in (1, 0)], axis=1)
-    cells, inverse = np.unique(ij, axis=0, return_inverse=True)
+    cells, cell_of = np.unique(ij, axis=0, return_inverse=True)
     z = ticks(world[2][ok])
     out = np.zeros(len(cells), EVIDENCE)
-    for k, heights in enumerate(
-        np.split(z[np.argsort(inverse, kind="stable")], np.cumsum(np.bincount(inverse))[:-1])
-    ):
-        squares = sum(int(h) * int(h) for h in heights)
-        out[k] = (
-            len(heights),
-            heights.min(),
-            heights.max(),
-            squares >> 64,
-            heights.sum(),
-            squares & (2**64 - 1),
-        )
+    out["z_min"], out["z_max"] = Z_NONE_MIN, Z_NONE_MAX
+    np.add.at(out["n"], cell_of, 1)
+    np.minimum.at(out["z_min"], cell_of, z)
+    np.maximum.at(out["z_max"], cell_of, z)
+    np.add.at(out["z_sum"], cell_of, z)
+    squares = np.zeros(len(cells), object)  # Python's integers, which have no largest
+    np.add.at(squares, cell_of, z.astype(object) ** 2)
+    out["sq_hi"], out["sq_lo"] = squares >> 64, squares & (2**64 - 1)
     return cells[:, ::-1], out

@@ -46,9 +46,7 @@ class Elevation:
 
     def __post_init__(self) -> None:
         if self.traversability_cells % 2 == 0 or self.traversability_cells < 3:
-            raise InputError(
-                f"traversability_cells {self.traversability_cells}: give an odd number of at least 3"
-            )
+            raise InputError(f"traversability_cells {self.traversability_cells}: give an odd number of at least 3")
         for field in ("variance_threshold_m2", "flat_tolerance_m", "impassable_roughness"):
             if not getattr(self, field) > 0:
                 raise InputError(f"{field} {getattr(self, field)}: give a positive number")
@@ -90,19 +88,15 @@ class Elevation:
     def _layers(self) -> list[Layer]:
         half = self.traversability_cells // 2
         return [
-            Layer(
-                "height", "m", "mean height; the highest point where vertical", lambda c, _: self.height(c)
-            ),
+            Layer("height", "m", "mean height; the highest point where vertical", lambda c, _: self.height(c)),
             Layer("z_mean", "m", "mean height of the points", lambda c, _: evidence.mean_m(c)),
             Layer("z_var", "m2", "variance of the points' heights", lambda c, _: evidence.variance_m2(c)),
             Layer("z_min", "m", "lowest point", lambda c, _: self._metres(c, "z_min")),
             Layer("z_max", "m", "highest point", lambda c, _: self._metres(c, "z_max")),
-            Layer("n", "1", "number of points", lambda c, _: c["n"].astype(np.float64)),
+            Layer("n", "1", "number of points", lambda c, _: self._count(c, "n")),
             Layer("state", "1", "1 flat, 2 vertical", lambda c, _: self.state(c)),
             Layer("changes", "1", "how often the surface changed", lambda c, _: self._count(c, "changes")),
-            Layer(
-                "dynamic", "1", "probability that the next look finds a change", lambda c, _: self.dynamic(c)
-            ),
+            Layer("dynamic", "1", "probability that the next look finds a change", lambda c, _: self.dynamic(c)),
             Layer(
                 "stamp",
                 "s",
@@ -124,9 +118,7 @@ class Elevation:
 
     def height(self, cells: Array) -> Floats:
         """z_mean, or z_max where vertical."""
-        return np.where(
-            absorb.vertical(cells, self.rules), self._metres(cells, "z_max"), evidence.mean_m(cells)
-        )
+        return np.where(absorb.vertical(cells, self.rules), self._metres(cells, "z_max"), evidence.mean_m(cells))
 
     def dynamic(self, cells: Array) -> Floats:
         """Posterior mean (changes + 1)/(merges + 2) of the chance that a merge finds a change."""
@@ -146,7 +138,7 @@ class Elevation:
 
 
 class ElevationTile:
-    """A tile as two arrays: what every scan touches, a cache line a cell; and the cached ground, which few cells have."""
+    """Two arrays: what every scan touches, a cache line a cell; and the cached ground, which few cells have."""
 
     def __init__(self, side: int, rules: absorb.Rules) -> None:
         self.revision = 0
@@ -294,9 +286,7 @@ def _joined(parts: list[Patch], points: int, dropped: Mapping[str, int]) -> Patc
         return Patch(parts[0].keys, parts[0].starts, parts[0].at, parts[0].records, points, dropped)
     keys: list[TileKey] = [key for part in parts for key in part.keys]
     offsets = np.cumsum([0] + [len(part.at) for part in parts])
-    starts = np.concatenate(
-        [part.starts[:-1] + o for part, o in zip(parts, offsets, strict=False)] + [offsets[-1:]]
-    )
+    starts = np.concatenate([part.starts[:-1] + o for part, o in zip(parts, offsets, strict=False)] + [offsets[-1:]])
     at = np.concatenate([part.at for part in parts]) if parts else np.empty(0, np.int32)
     records = np.concatenate([part.records for part in parts]) if parts else np.empty(0, evidence.EVIDENCE)
     return Patch(keys, starts.astype(np.int64), at, records, points, dropped)

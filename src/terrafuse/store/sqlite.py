@@ -123,10 +123,7 @@ class SqliteStore:
                 return False
             connection.executemany(
                 "INSERT OR IGNORE INTO poses VALUES (?, ?, ?, NULL)",
-                [
-                    (delta.robot, p.stamp_ns, p.T_world_sensor.matrix[:3].astype("<f8").tobytes())
-                    for p in path
-                ],
+                [(delta.robot, p.stamp_ns, p.T_world_sensor.matrix[:3].astype("<f8").tobytes()) for p in path],
             )
             for tile, frame in frames:
                 self._append(delta, sequence, tile, frame)
@@ -177,13 +174,10 @@ class SqliteStore:
 
     def _frames(self, where: tuple[str, int, int, int]) -> Iterator[tuple[int, bytes]]:
         place = "robot = ? AND level = ? AND x = ? AND y = ?"
-        base = self._connection.execute(
-            f"SELECT through, count, cells FROM contributions WHERE {place}", where
-        )
-        through = 0
-        for through, count, frame in base:
-            if count:
-                yield count, frame
+        base = self._connection.execute(f"SELECT through, count, cells FROM contributions WHERE {place}", where).fetchone()
+        through, count, frame = base or (0, 0, b"")
+        if count:
+            yield count, frame
         yield from self._connection.execute(
             f"SELECT count, cells FROM history WHERE {place} AND sequence > ? ORDER BY sequence",
             (*where, through),
@@ -221,9 +215,7 @@ class SqliteStore:
     def note(self, name: str, value: Any) -> None:
         """Keep a JSON value under a name."""
         with self._transaction() as connection:
-            connection.execute(
-                "INSERT OR REPLACE INTO meta VALUES (?, ?)", (f"note:{name}", json.dumps(value))
-            )
+            connection.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (f"note:{name}", json.dumps(value)))
 
     def notes(self) -> Mapping[str, Any]:
         rows = self._read("SELECT name, value FROM meta WHERE name LIKE 'note:%' ORDER BY name")
@@ -256,7 +248,7 @@ def _check_schema(path: Path, connection: sqlite3.Connection) -> None:
     if schema > SCHEMA:
         connection.close()
         raise StoreMismatch(
-            f"{path}: a store of schema {schema}, this terrafuse reads up to {SCHEMA}; upgrade: pip install -U terrafuse"
+            f"{path}: store schema {schema} is newer than {SCHEMA}, the newest this terrafuse knows: pip install -U terrafuse"
         )
     if schema < SCHEMA:
         connection.close()
@@ -277,9 +269,7 @@ def _faults(path: Path) -> Iterator[None]:
     except sqlite3.DatabaseError as error:
         text = str(error)
         if "full" in text or "disk I/O" in text:
-            raise OutputError(
-                f"{path}: can't be written ({text}); free some space and run again to go on"
-            ) from error
+            raise OutputError(f"{path}: can't be written ({text}); free some space and run again to go on") from error
         if "unable to open" in text or "readonly" in text:
             raise OutputError(
                 f"{path}: can't be opened for writing ({text}); check the folder's permissions"

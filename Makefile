@@ -1,0 +1,50 @@
+# Everything works in a fresh clone with python3 (3.11 or newer) and make.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+.PHONY: help setup demo test lint format bench accuracy wheel clean
+
+help:
+	@echo "make demo      set up, then map a small invented place with two robots"
+	@echo "make test      set up, then lint, types and all tests"
+	@echo "make bench     time the kernels and the pipeline, side by side with NumPy, pandas and polars"
+	@echo "make accuracy  measure against surveyed truth (needs TERRAFUSE_RECORDINGS)"
+	@echo "make wheel     build dist/*.whl"
+
+$(READY): pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "terrafuse needs Python 3.11 or newer")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[all]" --group dev
+	@touch $@
+
+setup: $(READY)
+
+demo: setup
+	$(BIN)/terrafuse demo --headless --out demo
+
+test: lint
+	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: setup
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: setup
+	$(BIN)/python -m bench
+
+accuracy: setup
+	$(BIN)/python -m tests.accuracy
+
+wheel: setup
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
+
+clean:
+	rm -rf $(VENV) dist demo .hypothesis .mypy_cache .ruff_cache

@@ -1,0 +1,237 @@
+"""Logs in, one store out: what `terrafuse map` does before it exports.
+
+One robot a thread; each integrates its scans, pages through a write-behind archive and commits whole deltas, so that a
+run that is killed goes on where its last commit ended and comes to the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from terrafuse import crs
+from terrafuse.config import MapSettings
+from terrafuse.errors import InputError, OutputError, StoreMismatch
+from terrafuse.lattice import Lattice, default_tile_m
+from terrafuse.logs import open_log
+from terrafuse.logs.base import Log, Record
+from terrafuse.mapper import Mapper
+from terrafuse.models import make_model
+from terrafuse.models.base import Model
+from terrafuse.store.behind import WriteBehind
+from terrafuse.store.sqlite import SqliteStore
+from terrafuse.types import Scan
+from terrafuse.window import make_window
+
+Progress = Callable[[str, int, int | None, int], None]
+"""Called for each record: robot, records so far, records in all where known, points so far."""
+
+
+@dataclass
+class RobotReport:
+    """What became of one robot's log."""
+
+    log: str
+    reader: str
+    scans: int = 0
+    resumed_scans: int = 0
+    """Of these, taken over from a run that was cut short."""
+    skipped: Counter[str] = field(default_factory=Counter)
+    points: int = 0
+    dropped: Counter[str] = field(default_factory=Counter)
+    seconds: dict[str, float] = field(default_factory=dict)
+    wall_seconds: float = 0.0
+    distance_m: float = 0.0
+    loads: int = 0
+    evictions: int = 0
+    most_tile_bytes: int = 0
+    cells: int = 0
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A checked mapping run: nothing has been written yet."""
+
+    logs: Mapping[str, Log]
+    settings: MapSettings
+    lattice: Lattice
+    model: Model
+
+    @property
+    def fingerprint(self) -> dict[str, Any]:
+        """What must be equal for an unfinished run to go on."""
+        return {
+            "settings": self.settings.model_dump(mode="json", exclude={"commit_scans", "window"}),
+            "logs": {name: [str(log.path.resolve()), _content(log.path)] for name, log in self.logs.items()},
+        }
+
+
+def plan(sources: Mapping[str, str], settings: MapSettings) -> Plan:
+    """Open the logs of each robot and check everything that can be checked. Raises InputError and its kin."""
+    if not sources:
+        raise InputError("no logs: give at least one NAME=LOG")
+    tile_m = settings.tile_m or default_tile_m(settings.resolution_m)
+    lattice = Lattice(settings.resolution_m, tile_m)
+    model = make_model(settings.model, settings.model_settings)
+    make_window(settings.window, tile_m)
+    logs = {name: open_log(source) for name, source in sources.items()}
+    _check_frames(logs, settings)
+    stated = {f"{name} ({log.path})": log.crs for name, log in logs.items()}
+    return Plan(logs, settings, replace(lattice, crs=crs.common(settings.crs, stated)), model)
+
+
+def _check_frames(logs: Mapping[str, Log], settings: MapSettings) -> None:
+    """Logs in local frames meet logs in map coordinates only through an origin."""
+    placed = [name for name, log in logs.items() if log.georeferenced]
+    local = [name for name, log in logs.items() if not log.georeferenced]
+    if placed and local and settings.origin_m is None:
+        raise InputError(
+            f"{', '.join(local)}: in a frame of their own, while {', '.join(placed)} are georeferenced; "
+            "say where the local origin lies: --origin EAST,NORTH"
+        )
+
+
+def open_partial(path: Path, run: Plan) -> SqliteStore:
+    """The store of this run: new, or that of the same run cut short. Raises StoreMismatch for another's."""
+    if not path.exists():
+        store = SqliteStore.create(path, run.lattice, run.model)
+        store.note("run", run.fingerprint)
+        return store
+    store = SqliteStore.open(path)
+    held = store.notes().get("run")
+    if held != run.fingerprint:
+        store.close()
+        raise StoreMismatch(
+            f"{path}: an unfinished run with other logs or settings; run that again to finish it, "
+            "or delete the file, or choose another --out"
+        )
+    return store
+
+
+def map_logs(run: Plan, store: SqliteStore, progress: Progress | None = None) -> dict[str, RobotReport]:
+    """Map every log of the plan into the store, one robot a thread. Returns a report for each robot.
+
+    A fault in one log stops all; what was committed until then stays in the store.
+    """
+    stop = threading.Event()
+    reports: dict[str, RobotReport] = {}
+    with ThreadPoolExecutor(max_workers=len(run.logs), thread_name_prefix="robot") as pool:
+        jobs = {pool.submit(_map_robot, name, run, store, progress, stop): name for name in run.logs}
+        try:
+            for job in as_completed(jobs):
+                reports[jobs[job]] = job.result()
+        finally:
+            stop.set()
+    _check_something_seen(run, reports)
+    return {name: reports[name] for name in run.logs}
+
+
+def _map_robot(
+    name: str, run: Plan, store: SqliteStore, progress: Progress | None, stop: threading.Event
+) -> RobotReport:
+    archive = WriteBehind(store)
+    started = time.perf_counter()
+    try:
+        mapper = Mapper(name, run.lattice, run.model, make_window(run.settings.window, run.lattice.tile_m), archive)
+        report = RobotReport(str(run.logs[name].path), run.logs[name].reader, resumed_scans=mapper.revision)
+        _integrate_all(mapper, run, report, progress, stop)
+        mapper.commit()
+    finally:
+        archive.close()
+    report.seconds |= mapper.seconds
+    report.loads, report.evictions = mapper.paging.loads, mapper.paging.evictions
+    report.most_tile_bytes = mapper.paging.most_bytes
+    report.wall_seconds = time.perf_counter() - started
+    return report
+
+
+def _integrate_all(
+    mapper: Mapper, run: Plan, report: RobotReport, progress: Progress | None, stop: threading.Event
+) -> None:
+    log = run.logs[mapper.robot]
+    clock = report.seconds
+    clock["read"] = clock["commit"] = 0.0
+    position: np.ndarray[Any, Any] | None = None
+    for count, record in enumerate(_timed(log.scans(), clock), start=1):
+        if stop.is_set():
+            return
+        if isinstance(record, Scan):
+            scan = _placed(record, log, run.settings)
+            here = scan.T_world_sensor.position
+            report.distance_m += float(np.linalg.norm(here - position)) if position is not None else 0.0
+            position = here
+            report.scans += 1
+            if report.scans > report.resumed_scans:
+                done = mapper.integrate(scan)
+                report.points += done.points
+                report.cells += done.cells
+                report.dropped.update(done.dropped)
+                if done.revision % run.settings.commit_scans == 0:
+                    t0 = time.perf_counter()
+                    mapper.commit()
+                    clock["commit"] += time.perf_counter() - t0
+        else:
+            report.skipped[record.reason] += 1
+        if progress is not None:
+            progress(mapper.robot, count, log.count, report.points)
+
+
+def _timed(records: Iterator[Record], clock: dict[str, float]) -> Iterator[Record]:
+    """Pass records on, adding up the time that reading them takes."""
+    while True:
+        t0 = time.perf_counter()
+        record = next(records, None)
+        clock["read"] += time.perf_counter() - t0
+        if record is None:
+            return
+        yield record
+
+
+def _placed(scan: Scan, log: Log, settings: MapSettings) -> Scan:
+    """The scan in the map's frame."""
+    if log.georeferenced or settings.origin_m is None:
+        return scan
+    return replace(scan, T_world_sensor=scan.T_world_sensor.shifted(*settings.origin_m))
+
+
+def _check_something_seen(run: Plan, reports: Mapping[str, RobotReport]) -> None:
+    for name, report in reports.items():
+        if report.cells == 0 and report.resumed_scans == 0:
+            why = ", ".join(f"{n} {reason}" for reason, n in (report.skipped + report.dropped).most_common())
+            raise InputError(
+                f"{name}: {report.log} puts nothing on the map: {report.scans} scans placed, "
+                f"{report.points} points ({why or 'the log is empty'}); check its poses and points"
+            )
+
+
+def _content(path: Path) -> list[Any]:
+    """Size and a digest of a log's beginning and end, or of a folder's listing: enough to notice another log."""
+    if path.is_dir():
+        listing = sorted((p.name, p.stat().st_size) for p in path.rglob("*") if p.is_file())
+        return [len(listing), hashlib.sha256(repr(listing).encode()).hexdigest()]
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(1 << 16)
+        file.seek(max(0, size - (1 << 16)), os.SEEK_SET)
+        return [size, hashlib.sha256(head + file.read()).hexdigest()]
+
+
+def make_folder(out: Path) -> None:
+    """Make the output folder and see that it can be written to; raises OutputError."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        probe = out / f".terrafuse-{os.getpid()}"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise OutputError(f"{out}: can't write there ({error.strerror}); choose another --out") from error

@@ -1,0 +1,184 @@
+"""What a mapping run leaves behind: map.db, map.tif, map.png, report.html, report.json."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from terrafuse import __version__, views
+from terrafuse.errors import MissingExtra, OutputError
+from terrafuse.export.cog import write_cog
+from terrafuse.export.files import final
+from terrafuse.export.picture import write_picture
+from terrafuse.export.report import write_report
+from terrafuse.mapping import Plan, Progress, RobotReport, make_folder, map_logs, open_partial
+from terrafuse.replica import Replica
+from terrafuse.store.sqlite import SqliteStore
+
+STORE, PARTIAL_STORE = "map.db", "map.partial.db"
+FILES = {
+    "store": STORE,
+    "raster": "map.tif",
+    "picture": "map.png",
+    "report": "report.html",
+    "report_json": "report.json",
+}
+
+Stage = Callable[[str], None]
+"""Called with a word for what happens next."""
+
+
+def run(
+    plan: Plan, out: Path, *, overwrite: bool = False, progress: Progress | None = None, stage: Stage | None = None
+) -> dict[str, Any]:
+    """Map the plan's logs and write every result into the folder `out`; returns the report (as in report.json).
+
+    The store grows under the name map.partial.db and becomes map.db when all else is written: a run that was cut short
+    leaves a store that opens, and the same run started again goes on from it. Raises OutputError where `out` holds a
+    map already, unless `overwrite`.
+    """
+    _check_extras()
+    make_folder(out)
+    _make_room(out, overwrite)
+    partial = out / PARTIAL_STORE
+    store = open_partial(partial, plan)
+    try:
+        started = time.perf_counter()
+        robots = map_logs(plan, store, progress)
+        seconds = {"map": time.perf_counter() - started}
+        report = _write(plan, store, out, robots, seconds, stage or (lambda _: None))
+    except BaseException:
+        empty = not store.history()
+        store.close()
+        if empty:
+            _remove_store(partial)
+        raise
+    store.close()
+    os.replace(partial, out / STORE)
+    return report
+
+
+def _write(
+    plan: Plan,
+    store: SqliteStore,
+    out: Path,
+    robots: Mapping[str, RobotReport],
+    seconds: dict[str, float],
+    stage: Stage,
+) -> dict[str, Any]:
+    replica = Replica(store=store)
+    paths = {name: path_of(store, name) for name in store.robots()}
+
+    def timed(word: str, work: Callable[[], Any]) -> Any:
+        stage(word)
+        started = time.perf_counter()
+        result = work()
+        seconds[word] = time.perf_counter() - started
+        return result
+
+    title = " + ".join(replica.robots)
+    timed("raster", lambda: write_cog(replica, out / FILES["raster"]))
+    timed("picture", lambda: write_picture(replica, out / FILES["picture"], paths=paths, title=title))
+    report = timed("statistics", lambda: report_of(plan, store, replica, robots, seconds))
+    write_report(out / FILES["report"], report, out / FILES["picture"])
+    with final(out / FILES["report_json"]) as temporary:
+        temporary.write_text(json.dumps(report, indent=1, allow_nan=False) + "\n")
+    return dict(report)
+
+
+def path_of(store: SqliteStore, robot: str) -> Any:
+    """East and north of a robot's sensor at each scan, (N, 2) metres."""
+    return np.array([point.T_world_sensor.position[:2] for point in store.poses(robot)]).reshape(-1, 2)
+
+
+def map_facts(replica: Replica) -> dict[str, Any]:
+    """What a map is and how large: model, lattice, extent, digest, statistics of the layers. Plain JSON."""
+    known, layers = views.statistics(replica)
+    window = views.known_window(replica)
+    return {
+        "map": {
+            **asdict(replica.store.map),
+            "settings": replica.model.settings(),
+            "digest": replica.digest(),
+        },
+        "cells": known,
+        "tiles": len(replica.keys),
+        "bounds": list(views.bounds_of(replica, window)) if window else None,
+        "layers": {name: asdict(values) for name, values in layers.items()},
+    }
+
+
+def delta_bytes(store: SqliteStore) -> dict[str, int]:
+    """Bytes of all deltas of each robot, as they would travel."""
+    out = dict.fromkeys(store.robots(), 0)
+    for entry in store.history():
+        out[entry.robot] += entry.nbytes
+    return out
+
+
+def report_of(
+    plan: Plan, store: SqliteStore, replica: Replica, robots: Mapping[str, RobotReport], seconds: dict[str, float]
+) -> dict[str, Any]:
+    """The report as plain JSON."""
+    points = sum(robot.points for robot in robots.values())
+    return {
+        "terrafuse": __version__,
+        **map_facts(replica),
+        "robots": {name: _robot(robot, name, store) for name, robot in robots.items()},
+        "delta_bytes_per_robot": delta_bytes(store),
+        "points_per_second": points / seconds["map"],
+        "allocated_bytes": sum(robot.most_tile_bytes for robot in robots.values()),
+        "resident_bytes": peak_resident_bytes(),
+        "seconds": seconds,
+        "settings": plan.settings.model_dump(mode="json"),
+        "files": FILES,
+    }
+
+
+def _robot(robot: RobotReport, name: str, store: SqliteStore) -> dict[str, Any]:
+    fresh = robot.scans - robot.resumed_scans
+    return {
+        **asdict(robot),
+        "scans_per_second": fresh / robot.wall_seconds,
+        "points_per_second": robot.points / robot.wall_seconds,
+        "deltas": sum(entry.robot == name for entry in store.history()),
+    }
+
+
+def peak_resident_bytes() -> int:
+    """The most memory that this process held, in bytes (getrusage counts kilobytes, on macOS bytes)."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024
+
+
+def _check_extras() -> None:
+    """Say at the start, not after an hour, that the raster or the picture can't be written."""
+    for module, extra in (("rasterio", "gis"), ("matplotlib", "plot")):
+        try:
+            __import__(module)
+        except ImportError as error:
+            raise MissingExtra("terrafuse map", module, extra) from error
+
+
+def _make_room(out: Path, overwrite: bool) -> None:
+    if (out / STORE).exists() and not overwrite:
+        raise OutputError(
+            f"{out / STORE}: there is a map already; choose another --out, or replace it with --overwrite"
+        )
+    if overwrite:
+        _remove_store(out / PARTIAL_STORE)
+        _remove_store(out / STORE)
+
+
+def _remove_store(path: Path) -> None:
+    for suffix in ("", "-wal", "-shm"):
+        Path(f"{path}{suffix}").unlink(missing_ok=True)

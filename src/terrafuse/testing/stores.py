@@ -1,0 +1,78 @@
+"""What every store must do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from terrafuse.errors import DeltaError
+from terrafuse.lattice import Lattice
+from terrafuse.models import make_model
+from terrafuse.replica import Replica
+from terrafuse.store.base import PathPoint, Store
+from terrafuse.testing.deltas import deltas_of, random_scans
+from terrafuse.types import Pose
+
+LATTICE = Lattice(0.5, 4.0)
+MODEL = make_model("elevation")
+
+
+class StoreTests:
+    """Subclass, and define the fixture `store`: an empty store of LATTICE and MODEL."""
+
+    @pytest.fixture
+    def store(self) -> Iterator[Store]:
+        raise NotImplementedError
+
+    def test_starts_empty(self, store: Store) -> None:
+        assert store.robots() == []
+        assert store.keys() == []
+        assert store.revision("r1") == 0
+        assert store.history() == []
+        assert store.poses("r1") == []
+
+    def test_holds_what_a_mapper_reported(self, store: Store) -> None:
+        deltas = deltas_of("r1", random_scans(1, 6), LATTICE, MODEL)
+        for delta in deltas:
+            assert store.accept(delta)
+        (whole,) = deltas_of("r1", random_scans(1, 6), LATTICE, MODEL, every=6)
+        assert store.keys() == [tile.key for tile in whole.tiles]
+        for tile in whole.tiles:
+            held = store.load("r1", tile.key)
+            assert held is not None
+            np.testing.assert_array_equal(held.at, tile.at)
+            np.testing.assert_array_equal(held.cells, tile.cells)
+        assert store.revision("r1") == 6
+        assert store.revisions("r1") == {tile.key: int(tile.cells["revision"].max()) for tile in whole.tiles}
+        assert [entry.revision for entry in store.history()] == [1, 2, 3, 4, 5, 6]
+
+    def test_order_and_repetition_make_no_difference(self, store: Store) -> None:
+        deltas = deltas_of("r1", random_scans(2, 5), LATTICE, MODEL) + deltas_of("r2", random_scans(3, 5), LATTICE, MODEL)
+        expected = Replica(LATTICE, MODEL)
+        for delta in deltas:
+            expected.apply(delta)
+        for delta in [deltas[k] for k in (7, 3, 0, 9, 9, 1, 8, 2, 4, 6, 5, 0, 3)]:
+            store.accept(delta)
+        assert Replica(store=store).digest() == expected.digest()
+
+    def test_says_when_a_delta_is_there_already(self, store: Store) -> None:
+        (delta,) = deltas_of("r1", random_scans(4, 1), LATTICE, MODEL)
+        assert store.accept(delta)
+        assert not store.accept(delta)
+        assert len(store.history()) == 1
+
+    def test_refuses_a_delta_of_another_map(self, store: Store) -> None:
+        (delta,) = deltas_of("r1", random_scans(5, 1), Lattice(0.25, 4.0), MODEL)
+        with pytest.raises(DeltaError, match=r"resolution_m=0\.25"):
+            store.accept(delta)
+        assert store.keys() == []
+        assert store.history() == []
+
+    def test_keeps_poses_in_stamp_order(self, store: Store) -> None:
+        first, second = deltas_of("r1", random_scans(6, 2), LATTICE, MODEL)
+        store.accept(second, [PathPoint(7, Pose.identity().shifted(1, 2, 3))])
+        store.accept(first, [PathPoint(3, Pose.identity())])
+        assert [point.stamp_ns for point in store.poses("r1")] == [3, 7]
+        np.testing.assert_array_equal(store.poses("r1")[1].T_world_sensor.position, [1, 2, 3])

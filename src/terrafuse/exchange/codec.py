@@ -112,10 +112,7 @@ def encode(delta: Delta) -> bytes:
         revision=delta.revision,
         stamp_ns=delta.stamp_ns,
         fields=fields_of(delta.tiles[0].cells.dtype) if delta.tiles else [],
-        tiles=[
-            _Tile(*tile.key, len(tile.at), len(frame))
-            for tile, frame in zip(delta.tiles, frames, strict=True)
-        ],
+        tiles=[_Tile(*tile.key, len(tile.at), len(frame)) for tile, frame in zip(delta.tiles, frames, strict=True)],
     )
     head = _encode_header(header)
     body = b"".join([MAGIC, bytes([VERSION]), struct.pack("<I", len(head)), head, *frames])
@@ -132,9 +129,7 @@ def decode(message: bytes, cell: np.dtype[np.void]) -> Delta:
         side = map_.lattice.tile_cells
     except LatticeError as error:
         raise CodecError(f"an impossible lattice: {error}") from error
-    if sum(tile.size for tile in header.tiles) != len(message) - 4 - body_at or any(
-        t.size < 0 for t in header.tiles
-    ):
+    if sum(tile.size for tile in header.tiles) != len(message) - 4 - body_at or any(t.size < 0 for t in header.tiles):
         raise CodecError("frames that do not fill the message")
     tiles = []
     for tile in header.tiles:
@@ -165,7 +160,5 @@ def _head(message: bytes) -> tuple[_Header, int]:
     if not 0 < len(header.robot) <= MAX_NAME:
         raise CodecError(f"a robot's name has 1 to {MAX_NAME} characters")
     if not 0 <= header.since <= header.revision < 2**32 or not 0 <= header.stamp_ns < 2**63:
-        raise CodecError(
-            f"impossible revisions {header.since} to {header.revision} or stamp {header.stamp_ns}"
-        )
+        raise CodecError(f"impossible revisions {header.since} to {header.revision} or stamp {header.stamp_ns}")
     return header, 8 + length

@@ -13,12 +13,12 @@ from numba import njit
 from terrafuse.kernels.evidence import (
     EVIDENCE,
     TICKS_PER_M,
+    TWO_64,
     add,
     mean_m,
     mean_ticks,
     take,
     variance_m2,
-    variance_ticks,
     zero,
 )
 from terrafuse.kernels.prefetch import DISTANCE, prefetch
@@ -70,7 +70,17 @@ def rules(static: bool, flat_tolerance_m: float, variance_threshold_m2: float) -
 
 @njit(inline="always")
 def is_vertical(record, rules):
-    return record.n > 2 and variance_ticks(record) > rules.variance_threshold
+    """n > 2 and a variance over the threshold; times n², so that nothing is divided."""
+    n, total = np.float64(record.n), np.float64(record.z_sum)
+    square = record.sq_hi * TWO_64 + record.sq_lo
+    return record.n > 2 and square * n - total * total > rules.variance_threshold * (n * n)
+
+
+@njit(inline="always")
+def agree(a, b, rules):
+    """Whether two surfaces' means are within the tolerance of each other; times both counts."""
+    n_a, n_b = np.float64(a.n), np.float64(b.n)
+    return abs(a.z_sum * n_b - b.z_sum * n_a) <= rules.flat_tolerance * (n_a * n_b)
 
 
 @njit(inline="always")
@@ -80,19 +90,17 @@ def cover(own, ground):
         take(ground, own)
 
 
-@njit
+@njit(inline="always")
 def absorb(own, ground, new, rules):
     """Take `new` into `own`; both are known. `ground` is own's cached ground. Returns 1 where the surface changed."""
     if rules.static:
         add(own, new)
         return 0
     own_vertical, new_vertical = is_vertical(own, rules), is_vertical(new, rules)
-    if own_vertical == new_vertical and (
-        own_vertical or abs(mean_ticks(own) - mean_ticks(new)) <= rules.flat_tolerance
-    ):
+    if own_vertical == new_vertical and (own_vertical or agree(own, new, rules)):
         add(own, new)
         return 0
-    if not new_vertical and ground.n > 0 and abs(mean_ticks(ground) - mean_ticks(new)) <= rules.flat_tolerance:
+    if not new_vertical and ground.n > 0 and agree(ground, new, rules):
         take(own, ground)
         zero(ground)
         add(own, new)
@@ -127,6 +135,31 @@ def merge(surface, ground, at, patch, stamp, revision, reported, changed, count,
         own.stamp = stamp
         own.revision = np.uint32(revision)
     return count
+
+
+@njit(inline="always")
+def copy_surface(to, of):
+    take(to, of)
+    to.stamp = of.stamp
+    to.revision = of.revision
+    to.changes = of.changes
+    to.merges = of.merges
+
+
+@njit(cache=True, nogil=True)
+def read(surface, ground, at, cells, cell_grounds):
+    """(K,) CELL := what a tile holds at these positions; cell_grounds is the same memory as GROUND_OF_CELL."""
+    for k in range(at.shape[0]):
+        copy_surface(cells[k], surface[at[k]])
+        take(cell_grounds[k], ground[at[k]])
+
+
+@njit(cache=True, nogil=True)
+def write(surface, ground, at, cells, cell_grounds):
+    """The inverse of `read`."""
+    for k in range(at.shape[0]):
+        copy_surface(surface[at[k]], cells[k])
+        take(ground[at[k]], cell_grounds[k])
 
 
 @njit(cache=True, nogil=True)

@@ -117,9 +117,3 @@ def add(own, new):
 @njit(inline="always")
 def mean_ticks(record):
     return record.z_sum / record.n
-
-
-@njit(inline="always")
-def variance_ticks(record):
-    mean = record.z_sum / record.n
-    return (record.sq_hi * TWO_64 + record.sq_lo) / record.n - mean * mean

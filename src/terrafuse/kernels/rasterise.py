@@ -30,7 +30,10 @@ DROP_REASONS = ("not finite", "nearer than min_range_m", "beyond max_range_m", "
 
 
 class Patchwork(NamedTuple):
-    """The scratch of one robot's rasteriser; empty between scans."""
+    """The scratch of one robot's rasteriser, kept between scans: fresh memory costs more than the work.
+
+    `grid` and `records` are empty between scans; `at` and `grouped` hold the last patch.
+    """
 
     grid: Array
     """(NOWHERE + 1,) int32: slot of each cell of the window, -1 where not hit."""
@@ -38,12 +41,28 @@ class Patchwork(NamedTuple):
     """(capacity,) int32: the grid index of each slot."""
     records: Array
     """(capacity,) EVIDENCE."""
+    later: Array
+    """(capacity,) int64: points beyond the window."""
+    tile_of: Array
+    """(capacity,) int32: the tile of each slot, counted in the order in which they are met."""
+    at: Array
+    """(capacity,) int32: flat positions, by tile."""
+    grouped: Array
+    """(capacity,) EVIDENCE, by tile."""
+
+    @property
+    def capacity(self) -> int:
+        return len(self.places)
 
 
-def new_patchwork(capacity: int) -> Patchwork:
+def new_patchwork(capacity: int, grid: Array | None = None) -> Patchwork:
+    """Scratch for `capacity` points and cells; takes over the grid of a smaller one."""
+    if grid is None:
+        grid = np.full(NOWHERE + 1, -1, np.int32)
     records = np.empty(capacity, EVIDENCE)
     clear_records(records)
-    return Patchwork(np.full(NOWHERE + 1, -1, np.int32), np.empty(capacity, np.int32), records)
+    places, tile_of, at = (np.empty(capacity, np.int32) for _ in range(3))
+    return Patchwork(grid, places, records, np.empty(capacity, np.int64), tile_of, at, np.empty(capacity, EVIDENCE))
 
 
 @njit(cache=True, nogil=True)
@@ -164,7 +183,7 @@ def rasterise(points, T, cells_per_m, i0, j0, near2, far2, grid, places, records
 
 
 @njit(cache=True, nogil=True)
-def group(grid, places, records, count, i0, j0, tile_cells, keys, starts, at, grouped):
+def group(grid, places, records, count, i0, j0, tile_cells, keys, starts, tile_of, at, grouped):
     """Move a patchwork's records out, sorted by tile, in their order within one; the patchwork is empty again.
 
     Writes the T tiles hit to keys (T, 2) as (x, y), the T + 1 offsets to starts, and for each record its flat position
@@ -173,8 +192,6 @@ def group(grid, places, records, count, i0, j0, tile_cells, keys, starts, at, gr
     tile0_x, tile0_y = i0 // tile_cells, j0 // tile_cells
     across = WINDOW // tile_cells + 2
     order = np.full(across * across, -1, np.int32)
-    tile_of = np.empty(count, np.int32)
-    place_in = np.empty(count, np.int32)
     per_cell = 1.0 / tile_cells
     tiles = 0
     for k in range(count):
@@ -197,7 +214,8 @@ def group(grid, places, records, count, i0, j0, tile_cells, keys, starts, at, gr
             starts[tile + 1] = 0
             tiles += 1
         tile_of[k] = tile
-        place_in[k] = (j0 + wj - y * tile_cells) * tile_cells + (i0 + wi - x * tile_cells)
+        # The slot's grid index has served: its place in memory takes the position within the tile.
+        places[k] = (j0 + wj - y * tile_cells) * tile_cells + (i0 + wi - x * tile_cells)
         starts[tile + 1] += 1
     starts[0] = 0
     for t in range(tiles):
@@ -208,7 +226,7 @@ def group(grid, places, records, count, i0, j0, tile_cells, keys, starts, at, gr
         if tile >= 0:
             seat = cursor[tile]
             cursor[tile] += 1
-            at[seat] = place_in[k]
+            at[seat] = places[k]
             grouped[seat] = records[k]
         empty(records[k])
     return tiles

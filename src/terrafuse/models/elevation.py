@@ -167,11 +167,8 @@ class ElevationTile:
 
     def changed(self, since: int) -> tuple[Array, Array]:
         at = self._changed_after(since)
-        cells = np.zeros(len(at), absorb.CELL)
-        surface, ground = self._surface[at], self._ground[at]
-        for name in absorb.SURFACE.names or ():
-            cells[name] = surface[name]
-        cells.view(absorb.GROUND_OF_CELL)[:] = ground
+        cells = np.empty(len(at), absorb.CELL)
+        absorb.read(self._surface, self._ground, at, cells, cells.view(absorb.GROUND_OF_CELL))
         return at, cells
 
     def _changed_after(self, since: int) -> Array:
@@ -186,13 +183,8 @@ class ElevationTile:
         return at
 
     def put(self, at: Array, cells: Array) -> None:
-        surface = np.zeros(len(at), absorb.SURFACE)
-        for name in absorb.SURFACE.names or ():
-            surface[name] = cells[name]
-        self._surface[at] = surface
-        ground = np.zeros(len(at), evidence.EVIDENCE)
-        ground[:] = cells.view(absorb.GROUND_OF_CELL)
-        self._ground[at] = ground
+        given = np.ascontiguousarray(cells)
+        absorb.write(self._surface, self._ground, at, given, given.view(absorb.GROUND_OF_CELL))
         self.revision = max(self.revision, int(cells["revision"].max(initial=0)))
         self._reported = self.revision
         self._count = 0
@@ -221,7 +213,7 @@ class ElevationObserver:
         centre = T_world_sensor[:2, 3]
         while len(points):
             points, part = self._pass(points, T_world_sensor, centre, dropped)
-            parts.append(part)
+            parts.append(_copy(part) if len(points) or parts else part)
             if len(points):
                 p = points[0].astype(np.float64)
                 centre = T_world_sensor[:2, :3] @ p + T_world_sensor[:2, 3]
@@ -230,54 +222,53 @@ class ElevationObserver:
 
     def _pass(self, points: Array, T: Floats, centre: Floats, dropped: Array) -> tuple[Array, Patch]:
         """Rasterise what lies in one window of the lattice; return the points beyond it, and the patch."""
-        grid, places, records = self._reserve(len(points) + 1)
-        # Windows stand on a fixed raster of half their side, so that a cell is never split between two passes' windows
-        # unless the first pass could not see it.
-        half = rasterise.WINDOW // 2
-        i0, j0 = (int(np.floor(c * self._lattice.cells_per_m)) // half * half - half // 2 for c in centre)
-        later = np.empty(len(points), np.int64)
+        work = self._reserve(len(points) + 1)
+        lattice = self._lattice
+        i0, j0 = (int(np.floor(c * lattice.cells_per_m)) - rasterise.WINDOW // 2 for c in centre)
         dropped[rasterise.LATER] = 0
         count = rasterise.rasterise(
             points,
             T,
-            self._lattice.cells_per_m,
+            lattice.cells_per_m,
             i0,
             j0,
             self._near2,
             self._far2,
-            grid,
-            places,
-            records,
+            work.grid,
+            work.places,
+            work.records,
             dropped,
-            later,
+            work.later,
         )
-        at, grouped = np.empty(count, np.int32), np.empty(count, evidence.EVIDENCE)
         tiles = rasterise.group(
-            grid,
-            places,
-            records,
+            work.grid,
+            work.places,
+            work.records,
             count,
             i0,
             j0,
-            self._lattice.tile_cells,
+            lattice.tile_cells,
             self._keys,
             self._starts,
-            at,
-            grouped,
+            work.tile_of,
+            work.at,
+            work.grouped,
         )
         keys = [TileKey(int(x), int(y)) for x, y in self._keys[:tiles]]
         starts = self._starts[: tiles + 1].copy()
-        rest = points[later[: dropped[rasterise.LATER]]]
-        return rest, Patch(keys, starts, at[: starts[-1]], grouped[: starts[-1]], 0, {})
+        rest = points[work.later[: dropped[rasterise.LATER]]]
+        return rest, Patch(keys, starts, work.at[: starts[-1]], work.grouped[: starts[-1]], 0, {})
 
     def _reserve(self, capacity: int) -> rasterise.Patchwork:
-        """The scratch, with room for `capacity` cells."""
-        if len(self._scratch.places) < capacity:
-            size = 1 << (capacity - 1).bit_length()
-            records = np.empty(size, evidence.EVIDENCE)
-            rasterise.clear_records(records)
-            self._scratch = rasterise.Patchwork(self._scratch.grid, np.empty(size, np.int32), records)
+        """The scratch, with room for `capacity` points."""
+        if self._scratch.capacity < capacity:
+            self._scratch = rasterise.new_patchwork(1 << (capacity - 1).bit_length(), self._scratch.grid)
         return self._scratch
+
+
+def _copy(patch: Patch) -> Patch:
+    """The patch in memory of its own, before the next pass takes the scratch."""
+    return Patch(patch.keys, patch.starts, patch.at.copy(), patch.records.copy(), patch.points, patch.dropped)
 
 
 def _joined(parts: list[Patch], points: int, dropped: Mapping[str, int]) -> Patch:

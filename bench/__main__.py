@@ -1,0 +1,156 @@
+"""python -m bench [--json FILE] [--scans N] [--order ring|firing]"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.bound import Bound
+from bench.rivals import RIVALS
+from bench.stream import stream
+from terrafuse.lattice import Lattice
+from terrafuse.mapper import Mapper
+from terrafuse.types import Scan
+
+ROUNDS = 3
+LATTICE = Lattice(0.1)
+
+
+def best(work: Callable[[], object], rounds: int = ROUNDS) -> float:
+    """The least of several times, in seconds: noise only ever adds."""
+    times = []
+    for _ in range(rounds):
+        started = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - started)
+    return min(times)
+
+
+def map_all(scans: list[Scan], robot: str = "r1") -> Mapper:
+    """The real thing: patch, states, ground, changed cells; a delta's worth of changes kept."""
+    mapper = Mapper(robot, LATTICE)
+    for scan in scans:
+        mapper.integrate(scan)
+    return mapper
+
+
+def warm_map(mapper: Mapper, scans: list[Scan]) -> None:
+    for scan in scans:
+        mapper.integrate(scan)
+
+
+def kernels(scans: list[Scan]) -> dict[str, float]:
+    """Million points a second of everybody, interleaved so that a slow spell of the machine hits all alike."""
+    points = sum(len(scan.points) for scan in scans)
+    bound = Bound(scans)
+    mapper, alone, second = (map_all(scans[:2], name) for name in ("r1", "r2", "r3"))
+    rivals = {name: make() for name, make in RIVALS.items()}
+
+    def both() -> None:
+        with ThreadPoolExecutor(2) as pool:
+            list(pool.map(warm_map, (alone, second), (scans, scans)))
+
+    def one_after_the_other() -> None:
+        warm_map(alone, scans)
+        warm_map(second, scans)
+
+    jobs: dict[str, Callable[[], object]] = {
+        "terrafuse": lambda: warm_map(mapper, scans),
+        "bound: locate": lambda: [bound.locate(scan) for scan in scans],
+        "bound: scatter": lambda: [bound.scatter(k, scan) for k, scan in enumerate(scans)],
+        "two robots, one thread": one_after_the_other,
+        "two robots, two threads": both,
+        **{name: (lambda rival=rival: [rival.take(scan) for scan in scans]) for name, rival in rivals.items()},
+    }
+    seconds = dict.fromkeys(jobs, float("inf"))
+    for _ in range(ROUNDS):
+        for name, job in jobs.items():
+            seconds[name] = min(seconds[name], best(job, 1))
+    rates = {name: points / s / 1e6 for name, s in seconds.items()}
+    rates["two robots, one thread"] *= 2
+    rates["two robots, two threads"] *= 2
+    rates["bound: both in series"] = 1 / (1 / rates["bound: locate"] + 1 / rates["bound: scatter"])
+    return rates
+
+
+def stages(scans: list[Scan]) -> dict[str, float]:
+    """Milliseconds a scan of each stage of the mapper, and of asking for what changed."""
+    mapper = map_all(scans)
+    before = dict(mapper.seconds)
+    asked = 0.0
+    for k, scan in enumerate(scans, start=1):
+        mapper.integrate(scan)
+        if k % 10 == 0:
+            started = time.perf_counter()
+            mapper.delta(mapper.revision - 10)
+            asked += time.perf_counter() - started
+    out = {stage: (seconds - before[stage]) / len(scans) * 1e3 for stage, seconds in mapper.seconds.items()}
+    return out | {"delta (every 10th)": asked / len(scans) * 1e3}
+
+
+FIRST_SCAN = """
+import time; started = time.perf_counter()
+import numpy as np
+from terrafuse import Lattice, Mapper, Pose, Scan
+mapper = Mapper("r1", Lattice(0.1))
+points = np.random.default_rng(0).normal(0, 20, (100_000, 3)).astype(np.float32)
+mapper.integrate(Scan(0, points, Pose.identity()))
+print(time.perf_counter() - started)
+"""
+
+
+def start_up() -> dict[str, float]:
+    """Seconds of fresh processes: to the first integrated scan with a warm kernel cache, and of --help."""
+
+    def fresh(*arguments: str) -> float:
+        return best(lambda: subprocess.run([sys.executable, *arguments], check=True, capture_output=True), 5)
+
+    fresh("-c", FIRST_SCAN)
+    return {
+        "first scan, whole process": fresh("-c", FIRST_SCAN),
+        "terrafuse --help": fresh("-m", "terrafuse", "--help"),
+    }
+
+
+def measure(count: int, order: str) -> dict[str, Any]:
+    scans = stream(count, order)
+    rates = kernels(scans)
+    return {
+        "machine": f"{platform.machine()}, Python {platform.python_version()}, NumPy {np.__version__}",
+        "stream": {"scans": len(scans), "points": sum(len(s.points) for s in scans), "order": order},
+        "million_points_per_second": rates,
+        "ratios": {
+            "terrafuse / numpy.add.at": rates["terrafuse"] / rates["numpy.add.at"],
+            "terrafuse / bound": rates["terrafuse"] / rates["bound: both in series"],
+            "two threads / one thread": rates["two robots, two threads"] / rates["two robots, one thread"],
+        },
+        "milliseconds_per_scan": stages(scans),
+        "start_up_seconds": start_up(),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path, help="also write the figures to this file")
+    parser.add_argument("--scans", type=int, default=100)
+    parser.add_argument("--order", choices=("ring", "firing"), default="ring")
+    arguments = parser.parse_args()
+    figures = measure(arguments.scans, arguments.order)
+    text = json.dumps(figures, indent=1)
+    print(text)
+    if arguments.json:
+        arguments.json.write_text(text + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -5,7 +5,7 @@ One rule serves twice: a robot's own cell takes in a scan's patch, and the globa
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -28,14 +28,14 @@ _EVIDENCE = [(name, EVIDENCE[name].str) for name in EVIDENCE.names or ()]
 
 _SURFACE = [*_EVIDENCE, ("stamp", "<i8"), ("revision", "<u4"), ("changes", "<u4"), ("merges", "<u4")]
 
-SURFACE = np.dtype(  # type: ignore[call-overload]
-    {
-        "names": [name for name, _ in _SURFACE],
-        "formats": [form for _, form in _SURFACE],
-        "offsets": [int(o) for o in np.cumsum([0] + [np.dtype(form).itemsize for _, form in _SURFACE])[:-1]],
-        "itemsize": 64,
-    }
-)
+
+def _layout(fields: list[tuple[str, str]], offsets: list[int], itemsize: int) -> np.dtype[Any]:
+    names, formats = ([field[k] for field in fields] for k in (0, 1))
+    layout: Any = {"names": names, "formats": formats, "offsets": offsets, "itemsize": itemsize}
+    return np.dtype(layout)
+
+
+SURFACE = _layout(_SURFACE, [np.dtype(_SURFACE[:k]).itemsize for k in range(len(_SURFACE))], 64)
 """What a scan touches of a cell, padded to a cache line: its evidence, when it was last updated and by which revision,
 how often its surface changed and how often it was merged."""
 
@@ -43,13 +43,8 @@ CELL = np.dtype([*_SURFACE, *((f"ground_{name}", form) for name, form in _EVIDEN
 """An elevation cell, 84 bytes: its surface, and the evidence of the flat surface that something now covers
 (`ground_n` = 0: none). All zeros is the unknown cell."""
 
-GROUND_OF_CELL = np.dtype(
-    {
-        "names": [name for name, _ in _EVIDENCE],
-        "formats": [form for _, form in _EVIDENCE],
-        "offsets": [CELL.fields[f"ground_{name}"][1] for name, _ in _EVIDENCE],  # type: ignore[index]
-        "itemsize": CELL.itemsize,
-    }
+GROUND_OF_CELL = _layout(
+    _EVIDENCE, [np.dtype(_SURFACE).itemsize + np.dtype(_EVIDENCE[:k]).itemsize for k in range(6)], CELL.itemsize
 )
 """CELL seen as the EVIDENCE of its ground."""
 

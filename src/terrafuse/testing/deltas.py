@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from terrafuse.exchange.delta import Delta
 from terrafuse.lattice import Lattice
@@ -15,7 +16,7 @@ from terrafuse.types import Pose, Scan, Stamp
 SECOND_NS = 1_000_000_000
 
 
-def scan_of(points: Sequence[Sequence[float]], stamp_ns: Stamp = 0) -> Scan:
+def scan_of(points: ArrayLike, stamp_ns: Stamp = 0) -> Scan:
     """A scan of points that are in the world's frame already."""
     return Scan(stamp_ns, np.asarray(points, np.float64).reshape(-1, 3), Pose.identity())
 

@@ -32,7 +32,8 @@ _SURFACE = [*_EVIDENCE, ("stamp", "<i8"), ("revision", "<u4"), ("changes", "<u4"
 def _layout(fields: list[tuple[str, str]], offsets: list[int], itemsize: int) -> np.dtype[Any]:
     names, formats = ([field[k] for field in fields] for k in (0, 1))
     layout: Any = {"names": names, "formats": formats, "offsets": offsets, "itemsize": itemsize}
-    return np.dtype(layout)
+    dtype: np.dtype[Any] = np.dtype(layout)
+    return dtype
 
 
 SURFACE = _layout(_SURFACE, [np.dtype(_SURFACE[:k]).itemsize for k in range(len(_SURFACE))], 64)

@@ -157,6 +157,24 @@ def test_scans_without_points_are_revisions_too() -> None:
     assert mapper.delta(0).tiles == ()
 
 
+def test_scans_are_checked() -> None:
+    mapper = Mapper("r1", Lattice(0.5), MODEL)
+    with pytest.raises(InputError, match=r"points are \(N, 3\), not \(3, 2\)"):
+        mapper.integrate(Scan(0, np.zeros((3, 2)), Pose.identity()))
+    with pytest.raises(InputError, match="stamp -1"):
+        mapper.integrate(Scan(-1, np.zeros((3, 3)), Pose.identity()))
+    assert mapper.revision == 0
+    whole = mapper.integrate(Scan(0, np.array([[1, 2, 3]]), Pose.identity()))
+    assert whole.cells == 1
+
+
+def test_a_cells_stamp_never_runs_backwards() -> None:
+    mapper = Mapper("r1", Lattice(0.5), MODEL)
+    for stamp_ns in (5, 3):
+        mapper.integrate(Scan(stamp_ns, np.array([[0.1, 0.1, 0.0]]), Pose.identity()))
+    assert mapper.delta(0).tiles[0].cells["stamp"].tolist() == [5]
+
+
 @pytest.mark.parametrize("name", ["", "a\nb", "x" * 201])
 def test_robot_names_are_checked(name: str) -> None:
     with pytest.raises(InputError, match="robot name"):

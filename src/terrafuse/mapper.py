@@ -104,6 +104,8 @@ class Mapper:
 
     def integrate(self, scan: Scan) -> Integrated:
         """Take a scan into the map: observe, page in, merge, page out."""
+        if not 0 <= scan.stamp_ns < 2**63:
+            raise InputError(f"stamp {scan.stamp_ns}: give nanoseconds since 1970 that fit 63 bits")
         t0 = perf_counter()
         patch = self._observe(scan)
         t1 = perf_counter()

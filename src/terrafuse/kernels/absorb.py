@@ -128,7 +128,7 @@ def merge(surface, ground, at, patch, stamp, revision, reported, changed, count,
         changed[count] = place
         count += own.revision <= reported
         own.merges += np.uint32(1)
-        own.stamp = stamp
+        own.stamp = max(own.stamp, stamp)
         own.revision = np.uint32(revision)
     return count
 

@@ -209,7 +209,7 @@ class ElevationObserver:
         T_world_sensor = scan.T_world_sensor.matrix
         dropped = np.zeros(5, np.int64)
         parts: list[Patch] = []
-        points = np.ascontiguousarray(scan.points)
+        points = _checked(scan.points)
         centre = T_world_sensor[:2, 3]
         while len(points):
             points, part = self._pass(points, T_world_sensor, centre, dropped)
@@ -264,6 +264,15 @@ class ElevationObserver:
         if self._scratch.capacity < capacity:
             self._scratch = rasterise.new_patchwork(1 << (capacity - 1).bit_length(), self._scratch.grid)
         return self._scratch
+
+
+def _checked(points: Array) -> Array:
+    """The points as the kernels take them: (N, 3 or more), float32 or float64, contiguous."""
+    if points.ndim != 2 or points.shape[1] < 3:
+        raise InputError(f"a scan's points are (N, 3), not {points.shape}")
+    if points.dtype not in (np.float32, np.float64):
+        points = points.astype(np.float64)
+    return np.ascontiguousarray(points)
 
 
 def _copy(patch: Patch) -> Patch:

@@ -390,6 +390,17 @@ def test_the_merge_kernel_equals_the_table(cells: list[tuple[list[int], ...]], s
     np.testing.assert_array_equal(out.changed, np.arange(len(cells)))
 
 
+@given(cells=CELLS)
+@settings(max_examples=100, deadline=None)
+def test_a_ghost_does_not_outlive_a_look_at_the_ground(cells: list[tuple[list[int], ...]]) -> None:
+    """Whatever a cell was, a flat patch leaves it within the tolerance of what was just seen."""
+    own, below, patch = (np.array([record_of_ticks(cell[part]) for cell in cells]) for part in range(3))
+    out = merged(own, below, patch, RULES)
+    flat = ~absorb.vertical(patch, RULES)
+    off_m = evidence.mean_m(out.surface) - evidence.mean_m(patch)
+    assert (np.abs(off_m[flat]) <= GHOST_M + 1e-9).all()
+
+
 # --- the fold --------------------------------------------------------------------------------------------------------
 
 

@@ -435,7 +435,7 @@ def test_the_fold_does_not_hang_on_the_order_of_its_input(cells: list[Array], ra
     model = make_model("elevation")
     shuffled = cells.copy()
     random.shuffle(shuffled)
-    assert fold(model, cells).tobytes() == fold(model, shuffled).tobytes()
+    assert fold(model, cells, ONE_TILE).tobytes() == fold(model, shuffled, ONE_TILE).tobytes()
 
 
 @given(cells=contributions(stamps_differ=False))
@@ -443,9 +443,9 @@ def test_the_fold_does_not_hang_on_the_order_of_its_input(cells: list[Array], ra
 def test_a_robot_that_saw_nothing_is_neutral_in_the_fold(cells: list[Array]) -> None:
     model = make_model("elevation")
     nothing = np.zeros_like(cells[0])
-    folded = fold(model, cells).tobytes()
+    folded = fold(model, cells, ONE_TILE).tobytes()
     for place in range(len(cells) + 1):
-        assert fold(model, [*cells[:place], nothing, *cells[place:]]).tobytes() == folded
+        assert fold(model, [*cells[:place], nothing, *cells[place:]], ONE_TILE).tobytes() == folded
 
 
 def test_robots_that_saw_a_car_before_and_after_one_another() -> None:
@@ -456,7 +456,8 @@ def test_robots_that_saw_a_car_before_and_after_one_another() -> None:
         return np.array([cell_of(own_ticks, below_ticks, stamp, 1)])
 
     def fused(*cells: Array) -> float:
-        return float(make_model("elevation").height(fold(make_model("elevation"), cells))[0])
+        model = make_model("elevation")
+        return float(model.layers["height"].compute(fold(model, cells, ONE_TILE), ONE_TILE)[0])
 
     assert fused(seen(GROUND_AT_0, 1), seen(WALL, 2)) == pytest.approx(1.4)
     assert fused(seen(GROUND_AT_0, 3), seen(WALL, 2)) == pytest.approx(0.01)

@@ -24,7 +24,7 @@ from terrafuse.config import MapSettings
 from terrafuse.errors import InputError, OutputError, StoreMismatch
 from terrafuse.lattice import Lattice, default_tile_m
 from terrafuse.logs import open_log
-from terrafuse.logs.base import Log, Record
+from terrafuse.logs.base import Log, Record, parse_source
 from terrafuse.mapper import Mapper
 from terrafuse.models import make_model
 from terrafuse.models.base import Model
@@ -63,17 +63,23 @@ class Plan:
     """A checked mapping run: nothing has been written yet."""
 
     logs: Mapping[str, Log]
+    options: Mapping[str, Mapping[str, str]]
+    """How each log is read: what followed the `?`."""
     settings: MapSettings
     lattice: Lattice
     model: Model
 
     @property
     def fingerprint(self) -> dict[str, Any]:
-        """What must be equal for an unfinished run to go on."""
+        """What must be equal for an unfinished run to go on: all that decides what a scan's revision holds."""
         return {
             "settings": self.settings.model_dump(mode="json", exclude={"commit_scans", "window"}),
-            "logs": {name: [str(log.path.resolve()), _content(log.path)] for name, log in self.logs.items()},
+            "logs": {name: [self._read_as(name), _content(log.path)] for name, log in self.logs.items()},
         }
+
+    def _read_as(self, name: str) -> list[str]:
+        """`backwards=drop` is how a run goes on that stopped at such a scan."""
+        return sorted(f"{key}={value}" for key, value in self.options[name].items() if key != "backwards")
 
 
 def plan(sources: Mapping[str, str], settings: MapSettings) -> Plan:
@@ -84,10 +90,12 @@ def plan(sources: Mapping[str, str], settings: MapSettings) -> Plan:
     lattice = Lattice(settings.resolution_m, tile_m)
     model = make_model(settings.model, settings.model_settings)
     make_window(settings.window, tile_m)
-    logs = {name: open_log(source) for name, source in sources.items()}
+    parsed = {name: parse_source(text) for name, text in sources.items()}
+    logs = {name: open_log(source) for name, source in parsed.items()}
     _check_frames(logs, settings)
     stated = {f"{name} ({log.path})": log.crs for name, log in logs.items()}
-    return Plan(logs, settings, replace(lattice, crs=crs.common(settings.crs, stated)), model)
+    options = {name: source.options for name, source in parsed.items()}
+    return Plan(logs, options, settings, replace(lattice, crs=crs.common(settings.crs, stated)), model)
 
 
 def _check_frames(logs: Mapping[str, Log], settings: MapSettings) -> None:

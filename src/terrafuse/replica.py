@@ -91,7 +91,7 @@ class Replica:
             stack = [np.zeros(len(somewhere), self.model.cell) for _ in held]
             for cells, part in zip(stack, held, strict=True):
                 cells[np.searchsorted(somewhere, part.at)] = part.cells
-            fused[somewhere] = fold(self.model, stack)
+            fused[somewhere] = fold(self.model, stack, self.lattice)
         fused.flags.writeable = False
         return fused.reshape(side, side)
 

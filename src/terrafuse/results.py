@@ -56,13 +56,13 @@ def run(
         robots = map_logs(plan, store, progress)
         seconds = {"map": time.perf_counter() - started}
         report = _write(plan, store, out, robots, seconds, stage or (lambda _: None))
+        store.finish()
     except BaseException:
-        empty = not store.history()
+        empty = not store.keys()
         store.close()
         if empty:
             _remove_store(partial)
         raise
-    store.close()
     os.replace(partial, out / STORE)
     return report
 
@@ -147,7 +147,9 @@ def report_of(
 def _robot(robot: RobotReport, name: str, store: SqliteStore) -> dict[str, Any]:
     fresh = robot.scans - robot.resumed_scans
     return {
-        **asdict(robot),
+        **vars(robot),
+        "skipped": dict(robot.skipped),
+        "dropped": dict(robot.dropped),
         "scans_per_second": fresh / robot.wall_seconds,
         "points_per_second": robot.points / robot.wall_seconds,
         "deltas": sum(entry.robot == name for entry in store.history()),

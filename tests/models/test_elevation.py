@@ -18,6 +18,7 @@ from terrafuse.types import Array
 from terrafuse.views import chosen_layers, mosaic
 
 LATTICE = Lattice(1.0, 4.0)
+GRID = Lattice(1.0, 8.0)
 
 
 def layers_of(*scans, model=None, lattice=LATTICE) -> dict[str, Array]:
@@ -82,6 +83,22 @@ def test_the_lower_of_two_covered_surfaces_is_the_ground() -> None:
     assert at(layers, "n") == 3
 
 
+@pytest.mark.parametrize("resolution_m", [0.1, 0.5, 1.0, 2.0])
+def test_a_hillside_does_not_move(resolution_m: float) -> None:
+    """Looks at different parts of one sloping cell are not changes, however large the cell; a car on it is one."""
+    rng = np.random.default_rng(1)
+    lattice = Lattice(resolution_m, 4 * resolution_m)
+    looks = []
+    for _ in range(20):
+        xy = rng.uniform(0, 4 * resolution_m, (60, 2))
+        looks.append(np.column_stack([xy, 0.35 * xy[:, 0] + rng.normal(0, 0.01, 60)]))
+    layers = layers_of(*looks, lattice=lattice)
+    assert np.nansum(layers["changes"]) == 0
+    assert np.nansum(layers["n"]) == 20 * 60
+    car = looks[0] + (0, 0, 1.5)
+    assert np.nanmean(layers_of(*looks, car, lattice=lattice)["changes"]) > 0.5
+
+
 def test_stamps() -> None:
     layers = layers_of(column(0.0), column(0.0))
     assert at(layers, "stamp") == pytest.approx(1.0)
@@ -106,8 +123,7 @@ def test_traversability_of_slopes_steps_and_the_unknown() -> None:
 
 def records(seed: int, count: int = 40) -> Array:
     """Cells as mappers make them, some unknown."""
-    lattice = Lattice(1.0, 8.0)
-    mapper = Mapper("r", lattice)
+    mapper = Mapper("r", GRID)
     for scan in random_scans(seed, 1 + seed % 6, extent_m=16.0, points=120):
         mapper.integrate(scan)
     dense = np.zeros(64, absorb.CELL)
@@ -121,8 +137,8 @@ def records(seed: int, count: int = 40) -> Array:
 def test_unknown_is_neutral_to_fuse(seed: int) -> None:
     model, cells = make_model("elevation"), records(seed)
     nothing = np.zeros_like(cells)
-    np.testing.assert_array_equal(model.fuse(cells, nothing), cells)
-    np.testing.assert_array_equal(model.fuse(nothing, cells), cells)
+    np.testing.assert_array_equal(model.fuse(cells, nothing, GRID), cells)
+    np.testing.assert_array_equal(model.fuse(nothing, cells, GRID), cells)
 
 
 @given(seeds=st.lists(st.integers(0, 10_000), min_size=2, max_size=5, unique=True), static=st.booleans())
@@ -136,9 +152,9 @@ def test_static_fusing_is_commutative_and_associative(seeds: list[int], static: 
                 part[name] = 0
     there, back = cells[0], cells[-1]
     for newer in cells[1:]:
-        there = model.fuse(there, newer)
+        there = model.fuse(there, newer, GRID)
     for newer in cells[-2::-1]:
-        back = model.fuse(back, newer)
+        back = model.fuse(back, newer, GRID)
     np.testing.assert_array_equal(there, back)
 
 
@@ -148,12 +164,12 @@ def test_the_fold_takes_robots_by_stamp_then_name(seeds: list[int]) -> None:
     """Cell by cell, it is `fuse` over the known cells in the order (stamp, robot)."""
     model = make_model("elevation")
     cells = [records(seed) for seed in seeds]
-    folded = fold(model, cells)
+    folded = fold(model, cells, GRID)
     for k in range(64):
         known = [(int(part["stamp"][k]), name, part[k : k + 1]) for name, part in enumerate(cells) if part["n"][k]]
         expected = np.zeros(1, absorb.CELL)
         for _, _, part in sorted(known, key=lambda entry: entry[:2]):
-            expected = model.fuse(expected, part)
+            expected = model.fuse(expected, part, GRID)
         np.testing.assert_array_equal(folded[k : k + 1], expected)
 
 

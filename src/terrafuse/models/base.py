@@ -85,7 +85,7 @@ class Model(Protocol):
     def tile(self, lattice: Lattice) -> Tile:
         """A new tile of a robot's own map, all unknown; its `merge` takes a patch's records in."""
 
-    def fuse(self, older: Array, newer: Array) -> Array:
+    def fuse(self, older: Array, newer: Array, lattice: Lattice) -> Array:
         """The next step of the fold: (M,) cells of robots so far, (M,) of the next robot → (M,)."""
 
     def coarsen(self, cells: Array, factor: int) -> Array:
@@ -95,7 +95,7 @@ class Model(Protocol):
         """Which cells somebody observed, as booleans of the same shape."""
 
 
-def fold(model: Model, contributions: Sequence[Array]) -> Array:
+def fold(model: Model, contributions: Sequence[Array], lattice: Lattice) -> Array:
     """The global cells: `model.fuse` over the robots' cells in the order (stamp, robot), for each cell its own order.
 
     `contributions`: (M,) cells of each robot, in the order of the robots' names. This is the one definition of the
@@ -108,5 +108,5 @@ def fold(model: Model, contributions: Sequence[Array]) -> Array:
     ordered = np.take_along_axis(stack, order, axis=0)
     fused = ordered[0]
     for newer in ordered[1:]:
-        fused = model.fuse(fused, newer)
+        fused = model.fuse(fused, newer, lattice)
     return np.asarray(fused)

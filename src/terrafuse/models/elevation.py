@@ -32,6 +32,10 @@ class Elevation:
     """A cell with more than 2 points and a larger variance is vertical."""
     flat_tolerance_m: float = 0.10
     """Two flat surfaces whose means are further apart are different surfaces."""
+    flat_slope: float = 0.5
+    """The slope that a flat cell may have. Two looks at different parts of a cell of side r on such a slope differ by up
+    to slope·r in mean, and points within one have a variance of up to (slope·r)²/4: both thresholds are at least that,
+    or large cells on a hillside would count as moving. Up to 0.2 m it changes nothing."""
     min_range_m: float = 0.0
     max_range_m: float = 1e8
     """Points nearer or further from the sensor are dropped; the default keeps all."""
@@ -47,7 +51,7 @@ class Elevation:
     def __post_init__(self) -> None:
         if self.traversability_cells % 2 == 0 or self.traversability_cells < 3:
             raise InputError(f"traversability_cells {self.traversability_cells}: give an odd number of at least 3")
-        for field in ("variance_threshold_m2", "flat_tolerance_m", "impassable_roughness"):
+        for field in ("variance_threshold_m2", "flat_tolerance_m", "impassable_roughness", "flat_slope"):
             if not getattr(self, field) > 0:
                 raise InputError(f"{field} {getattr(self, field)}: give a positive number")
         if not 0 <= self.min_range_m < self.max_range_m:
@@ -56,20 +60,22 @@ class Elevation:
     def settings(self) -> dict[str, Any]:
         return asdict(self)
 
-    @property
-    def rules(self) -> absorb.Rules:
-        return absorb.rules(self.static, self.flat_tolerance_m, self.variance_threshold_m2)
+    def rules(self, lattice: Lattice) -> absorb.Rules:
+        """The thresholds for cells of this lattice."""
+        rise_m = self.flat_slope * lattice.resolution_m
+        tolerance_m = max(self.flat_tolerance_m, rise_m)
+        return absorb.rules(self.static, tolerance_m, max(self.variance_threshold_m2, rise_m**2 / 4))
 
     def observer(self, lattice: Lattice) -> ElevationObserver:
         return ElevationObserver(lattice, self.min_range_m, self.max_range_m)
 
     def tile(self, lattice: Lattice) -> ElevationTile:
-        return ElevationTile(lattice.tile_cells, self.rules)
+        return ElevationTile(lattice.tile_cells, self.rules(lattice))
 
-    def fuse(self, older: Array, newer: Array) -> Array:
+    def fuse(self, older: Array, newer: Array, lattice: Lattice) -> Array:
         out = np.ascontiguousarray(older).copy()
         new = np.ascontiguousarray(newer)
-        absorb.fuse(out, out.view(absorb.GROUND_OF_CELL), new, new.view(absorb.GROUND_OF_CELL), self.rules)
+        absorb.fuse(out, out.view(absorb.GROUND_OF_CELL), new, new.view(absorb.GROUND_OF_CELL), self.rules(lattice))
         return out
 
     def coarsen(self, cells: Array, factor: int) -> Array:
@@ -88,13 +94,13 @@ class Elevation:
     def _layers(self) -> list[Layer]:
         half = self.traversability_cells // 2
         return [
-            Layer("height", "m", "mean height; the highest point where vertical", lambda c, _: self.height(c)),
+            Layer("height", "m", "mean height; the highest point where vertical", self.height),
             Layer("z_mean", "m", "mean height of the points", lambda c, _: evidence.mean_m(c)),
             Layer("z_var", "m2", "variance of the points' heights", lambda c, _: evidence.variance_m2(c)),
             Layer("z_min", "m", "lowest point", lambda c, _: self._metres(c, "z_min")),
             Layer("z_max", "m", "highest point", lambda c, _: self._metres(c, "z_max")),
             Layer("n", "1", "number of points", lambda c, _: self._count(c, "n")),
-            Layer("state", "1", "1 flat, 2 vertical", lambda c, _: self.state(c)),
+            Layer("state", "1", "1 flat, 2 vertical", self.state),
             Layer("changes", "1", "how often the surface changed", lambda c, _: self._count(c, "changes")),
             Layer("dynamic", "1", "probability that the next look finds a change", lambda c, _: self.dynamic(c)),
             Layer(
@@ -112,13 +118,15 @@ class Elevation:
     def _metres(self, cells: Array, field: str) -> Floats:
         return self._count(cells, field) * evidence.TICK_M
 
-    def state(self, cells: Array) -> Floats:
+    def state(self, cells: Array, lattice: Lattice) -> Floats:
         """1 flat, 2 vertical, NaN unknown."""
-        return np.where(self.known(cells), 1.0 + absorb.vertical(cells, self.rules), np.nan)
+        return np.where(self.known(cells), 1.0 + absorb.vertical(cells, self.rules(lattice)), np.nan)
 
-    def height(self, cells: Array) -> Floats:
+    def height(self, cells: Array, lattice: Lattice) -> Floats:
         """z_mean, or z_max where vertical."""
-        return np.where(absorb.vertical(cells, self.rules), self._metres(cells, "z_max"), evidence.mean_m(cells))
+        return np.where(
+            absorb.vertical(cells, self.rules(lattice)), self._metres(cells, "z_max"), evidence.mean_m(cells)
+        )
 
     def dynamic(self, cells: Array) -> Floats:
         """Posterior mean (changes + 1)/(merges + 2) of the chance that a merge finds a change."""
@@ -131,7 +139,7 @@ class Elevation:
         that the three add up at any resolution. NaN where over half of the k×k cells are unknown, or the known ones
         lie on one line.
         """
-        a, b, residual2, count = fit_planes(self.height(cells), self.traversability_cells)
+        a, b, residual2, count = fit_planes(self.height(cells, lattice), self.traversability_cells)
         roughness = (a * a + b * b + residual2) / lattice.resolution_m**2
         enough = 2 * count >= self.traversability_cells**2
         return np.where(enough, np.clip(1.0 - roughness / self.impassable_roughness, 0.0, 1.0), np.nan)

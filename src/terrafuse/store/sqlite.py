@@ -104,8 +104,16 @@ class SqliteStore:
         return self._model
 
     def close(self) -> None:
-        """Fold the write-ahead log in and close. The file is then whole by itself."""
         with self._lock:
+            self._connection.close()
+
+    def finish(self) -> None:
+        """Fold the write-ahead log in for good and close: the file is whole by itself, can be moved, and can be read
+        from a folder that can't be written. Raises StoreError while another program has it open."""
+        with self._lock, _faults(self.file):
+            ((mode,),) = self._connection.execute("PRAGMA journal_mode = DELETE").fetchall()
+            if mode != "delete":
+                raise StoreError(f"{self.file}: another program has it open; close that, and run again to finish")
             self._connection.close()
 
     def __enter__(self) -> SqliteStore:
@@ -274,6 +282,8 @@ def _faults(path: Path) -> Iterator[None]:
             raise OutputError(
                 f"{path}: can't be opened for writing ({text}); check the folder's permissions"
             ) from error
+        if "locked" in text:
+            raise StoreError(f"{path}: another program has it open; close that, and run again to finish") from error
         if "not a database" in text:
             raise StoreMismatch(f"{path}: not a terrafuse store") from error
         raise StoreError(f"{path}: {text}") from error

@@ -25,8 +25,8 @@ BLOCK = 100
 nobody saw are skipped."""
 
 STRIPE = 3
-"""Tiles are visited in stripes of this height where layers need neighbours: three columns of a stripe and its rims are
-15 tiles, which a replica keeps, so that a tile is folded less than twice."""
+"""Tiles are visited in stripes of this height, column by column: three columns of a stripe and its rims are 15 tiles,
+which a replica keeps, so that a layer that looks at neighbours has a tile folded less than twice."""
 
 MAX_ARRAY_CELLS = 2**30
 """8 GiB of float64; a larger window is a mistake more often than a wish."""
@@ -37,9 +37,7 @@ def chosen_layers(replica: Replica, names: Sequence[str] | None) -> list[Layer]:
     layers = replica.model.layers
     for name in names or ():
         if name not in layers:
-            raise InputError(
-                f"the model '{replica.model.name}' has no layer '{name}'; it has: {', '.join(layers)}"
-            )
+            raise InputError(f"the model '{replica.model.name}' has no layer '{name}'; it has: {', '.join(layers)}")
     return [layers[name] for name in names or layers]
 
 
@@ -48,7 +46,8 @@ def known_window(replica: Replica) -> CellWindow | None:
 
     @cache
     def span(key: TileKey) -> CellWindow | None:
-        return _known_in(replica, key)
+        side = replica.lattice.tile_cells
+        return _extent(replica.model.known(replica.cells(key)), key.x * side, key.y * side)
 
     def edge(line: Callable[[TileKey], int], side: int, outermost: Callable[[list[int]], int]) -> int | None:
         """Only the outer lines of tiles are looked at, from outside in, up to the first that holds a known cell."""
@@ -64,13 +63,11 @@ def known_window(replica: Replica) -> CellWindow | None:
     return west, south, east, north
 
 
-def _known_in(replica: Replica, key: TileKey) -> CellWindow | None:
-    """The smallest window that holds the known cells of a tile."""
-    known = replica.model.known(replica.cells(key))
+def _extent(known: Array, left: int, low: int) -> CellWindow | None:
+    """The smallest window around what is True in a mask (H, W) whose first cell is (left, low)."""
     i, j = np.flatnonzero(known.any(axis=0)), np.flatnonzero(known.any(axis=1))
     if not len(i):
         return None
-    left, low = (index * replica.lattice.tile_cells for index in key[:2])
     return left + int(i[0]), low + int(j[0]), left + int(i[-1]) + 1, low + int(j[-1]) + 1
 
 
@@ -86,8 +83,9 @@ def window_of(replica: Replica, bounds: Bounds | None) -> CellWindow:
 
 def bounds_of(replica: Replica, window: CellWindow) -> Bounds:
     """The rectangle that a window covers, metres."""
-    r = replica.lattice.resolution_m
-    return Bounds(*(index * r for index in window))
+    r, per_m = replica.lattice.resolution_m, replica.lattice.cells_per_m
+    # 0.1 is no binary number, 10 is: 40000093 / 10 is 4000009.3, but 40000093 · 0.1 is 4000009.3000000003.
+    return Bounds(*(index / per_m if per_m.is_integer() else index * r for index in window))
 
 
 def shape_of(window: CellWindow) -> tuple[int, int]:
@@ -111,7 +109,7 @@ def cells_in(replica: Replica, window: CellWindow, keys: Collection[TileKey]) ->
 
 
 def _opaque(cells: Array) -> Array:
-    """The same records as mere bytes: NumPy copies those at once, records field by field, which takes 8 times as long."""
+    """The same records as mere bytes: NumPy copies those at once, records field by field, 8 times as slow."""
     return cells.view(np.dtype((np.void, cells.dtype.itemsize)))
 
 
@@ -124,6 +122,45 @@ def _meet(key: TileKey, side: int, window: CellWindow) -> tuple[tuple[slice, sli
     return (slice(c - j0, d - j0), slice(a - i0, b - i0)), (slice(c - low, d - low), slice(a - left, b - left))
 
 
+def known_values(
+    replica: Replica, key: TileKey, layers: Sequence[Layer], keys: Collection[TileKey]
+) -> tuple[Array, dict[str, Floats]]:
+    """(flat positions, the values of each layer there) of a tile's known cells, (K,) each; `keys` are the replica's."""
+    cells = replica.cells(key)
+    known = replica.model.known(cells)
+    at = np.flatnonzero(known)
+    alone = [layer for layer in layers if not layer.halo]
+    among = {layer.name: _among(replica, key, known, layer, keys)[at] for layer in layers if layer.halo}
+    return at, _alone(replica, cells.reshape(-1), at, alone) | among
+
+
+def _alone(replica: Replica, cells: Array, at: Array, layers: Sequence[Layer]) -> dict[str, Floats]:
+    """Layers that look at no neighbours, at these positions."""
+    out = {layer.name: np.empty(len(at)) for layer in layers}
+    for first in range(0, len(at) if layers else 0, BLOCK**2):
+        some = slice(first, first + BLOCK**2)
+        part = _opaque(cells)[at[some]].view(cells.dtype).reshape(1, -1)
+        for layer in layers:
+            out[layer.name][some] = layer.compute(part, replica.lattice)[0]
+    return out
+
+
+def _among(replica: Replica, key: TileKey, known: Array, layer: Layer, keys: Collection[TileKey]) -> Floats:
+    """A layer that looks at neighbours, flat, computed around the known cells of each block of the tile."""
+    side, halo = replica.lattice.tile_cells, layer.halo
+    out = np.full((side, side), np.nan)
+    for j in range(0, side, BLOCK):
+        for i in range(0, side, BLOCK):
+            window = _extent(known[j : j + BLOCK, i : i + BLOCK], i, j)
+            if window is not None:
+                i0, j0, i1, j1 = window
+                left, low = key.x * side - halo, key.y * side - halo
+                around = (left + i0, low + j0, left + i1 + 2 * halo, low + j1 + 2 * halo)
+                values = layer.compute(cells_in(replica, around, keys), replica.lattice)
+                out[j0:j1, i0:i1] = values[halo:-halo, halo:-halo]
+    return out.reshape(-1)
+
+
 def tile_layers(
     replica: Replica, key: TileKey, layers: Sequence[Layer], keys: Collection[TileKey] | None = None
 ) -> dict[str, Floats]:
@@ -132,57 +169,12 @@ def tile_layers(
     `keys` are the replica's, for callers that go through many tiles.
     """
     side = replica.lattice.tile_cells
-    known = replica.model.known(replica.cells(key))
-    out = {layer.name: np.full((side, side), np.nan) for layer in layers}
-    _fill_alone(replica, key, known, [layer for layer in layers if not layer.halo], out)
-    _fill_among(replica, key, known, [layer for layer in layers if layer.halo], keys, out)
+    at, values = known_values(replica, key, layers, frozenset(replica.keys) if keys is None else keys)
+    out = {}
+    for name, some in values.items():
+        out[name] = np.full((side, side), np.nan)
+        out[name].reshape(-1)[at] = some
     return out
-
-
-def _fill_alone(
-    replica: Replica, key: TileKey, known: Array, layers: Sequence[Layer], out: Mapping[str, Floats]
-) -> None:
-    """Layers that look at no neighbours: of the known cells alone."""
-    cells = replica.cells(key).reshape(-1)
-    at = np.flatnonzero(known)
-    for first in range(0, len(at) if layers else 0, BLOCK**2):
-        some = at[first : first + BLOCK**2]
-        part = _opaque(cells)[some].view(cells.dtype).reshape(1, -1)
-        for layer in layers:
-            out[layer.name].reshape(-1)[some] = layer.compute(part, replica.lattice)[0]
-
-
-def _fill_among(
-    replica: Replica,
-    key: TileKey,
-    known: Array,
-    layers: Sequence[Layer],
-    keys: Collection[TileKey] | None,
-    out: Mapping[str, Floats],
-) -> None:
-    """Layers that look at neighbours: of the blocks that hold a known cell."""
-    if not layers:
-        return
-    halo, side = max(layer.halo for layer in layers), replica.lattice.tile_cells
-    left, low = key.x * side - halo, key.y * side - halo
-    around = (left, low, left + side + 2 * halo, low + side + 2 * halo)
-    cells = cells_in(replica, around, frozenset(replica.keys) if keys is None else keys)
-    for rows, columns in _blocks(known):
-        for layer in layers:
-            more, less = halo + layer.halo, halo - layer.halo
-            part = cells[rows.start + less : rows.stop + more, columns.start + less : columns.stop + more]
-            values = layer.compute(part, replica.lattice)[layer.halo : -layer.halo, layer.halo : -layer.halo]
-            out[layer.name][rows, columns] = np.where(known[rows, columns], values, np.nan)
-
-
-def _blocks(known: Array) -> Iterator[tuple[slice, slice]]:
-    """The blocks of a tile that hold a known cell."""
-    height, width = known.shape
-    for j in range(0, height, BLOCK):
-        for i in range(0, width, BLOCK):
-            block = slice(j, min(j + BLOCK, height)), slice(i, min(i + BLOCK, width))
-            if known[block].any():
-                yield block
 
 
 def keys_in(replica: Replica, window: CellWindow) -> list[TileKey]:
@@ -209,11 +201,14 @@ def parts(
 
 
 def _in_stripes(keys: Sequence[TileKey]) -> list[TileKey]:
-    return sorted(keys, key=lambda key: (key.y // STRIPE, key.x, key.y))
+    rows = [key.y for key in keys]
+    low, tall = min(rows, default=0), max(rows, default=0) - min(rows, default=0) + 1
+    stripe = STRIPE if tall > STRIPE + 2 else tall
+    return sorted(keys, key=lambda key: ((key.y - low) // stripe, key.x, key.y))
 
 
 def mosaic(replica: Replica, layers: Sequence[Layer], window: CellWindow) -> dict[str, Floats]:
-    """Each layer over a window, (H, W) float64, NaN where unknown. Raises InputError where no memory would hold that."""
+    """Each layer over a window, (H, W) float64, NaN where unknown. Raises InputError if no memory would hold that."""
     height, width = shape_of(window)
     if height * width * len(layers) > MAX_ARRAY_CELLS:
         raise InputError(
@@ -238,8 +233,9 @@ def reduced(replica: Replica, layer: Layer, window: CellWindow, factor: int) -> 
     for rows, columns, values in parts(replica, [layer], window):
         array = values[layer.name]
         known = ~np.isnan(array)
-        to = slice(rows.start // factor, (rows.stop - 1) // factor + 1), slice(
-            columns.start // factor, (columns.stop - 1) // factor + 1
+        to = (
+            slice(rows.start // factor, (rows.stop - 1) // factor + 1),
+            slice(columns.start // factor, (columns.stop - 1) // factor + 1),
         )
         total[to] += _block_sums(np.where(known, array, 0.0), rows.start, columns.start, factor)
         count[to] += _block_sums(known.astype(np.float64), rows.start, columns.start, factor)
@@ -275,9 +271,10 @@ def statistics(replica: Replica) -> tuple[int, dict[str, LayerStatistics]]:
     total, count = dict.fromkeys(low, 0.0), dict.fromkeys(low, 0)
     keys = frozenset(replica.keys)
     for key in _in_stripes(replica.keys):
-        known += int(replica.model.known(replica.cells(key)).sum())
-        for name, values in tile_layers(replica, key, layers, keys).items():
-            valid = values[~np.isnan(values)]
+        at, values = known_values(replica, key, layers, keys)
+        known += len(at)
+        for name, some in values.items():
+            valid = some[~np.isnan(some)]
             if len(valid):
                 low[name] = min(low[name], float(valid.min()))
                 high[name] = max(high[name], float(valid.max()))

@@ -12,7 +12,7 @@ from terrafuse.types import Array, Floats
 def _fit(w, known, half, a, b, residual2, count):
     """Sums over the square are sums over columns of sums over a column: 2k steps a cell instead of k²."""
     height, width = w.shape
-    # Of each column of the band around row j: how many are known, Σv, Σv², Σw, Σvw, Σw²; `half` empty ones on each side.
+    # Of each column of the band around row j: how many are known, Σv, Σv², Σw, Σvw, Σw²; `half` empty ones beside.
     columns = np.zeros((6, width + 2 * half))
     N, V, VV, W, VW, WW = columns[0], columns[1], columns[2], columns[3], columns[4], columns[5]
     somewhere = np.zeros(height, np.bool_)

@@ -1,0 +1,72 @@
+"""The map as files for other tools. An exporter is one object in the dict `EXPORTERS`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from terrafuse.errors import InputError
+from terrafuse.export.cog import write_cog
+from terrafuse.export.npz import write_npz
+from terrafuse.export.picture import robot_paths, write_picture
+from terrafuse.replica import Replica
+from terrafuse.types import Bounds
+
+Write = Callable[[Replica, Path, Sequence[str] | None, Bounds | None], None]
+
+
+@dataclass(frozen=True)
+class Exporter:
+    """One file format. `write` takes the replica, the path, the layers and the bounds; None means all."""
+
+    suffixes: tuple[str, ...]
+    summary: str
+    write: Write
+
+
+def _picture(replica: Replica, path: Path, layers: Sequence[str] | None, bounds: Bounds | None) -> None:
+    if layers and len(layers) > 1:
+        raise InputError(f"a picture shows one layer, not {', '.join(layers)}; write a picture of each")
+    write_picture(replica, path, layers[0] if layers else None, bounds, robot_paths(replica))
+
+
+EXPORTERS: dict[str, Exporter] = {
+    "cog": Exporter((".tif", ".tiff"), "Cloud Optimized GeoTIFF, a band a layer, for GIS tools", write_cog),
+    "png": Exporter((".png",), "picture of one layer with the robots' paths", _picture),
+    "npz": Exporter((".npz",), "NumPy arrays with their coordinates", write_npz),
+}
+
+
+def export_map(
+    replica: Replica,
+    out: Path | str,
+    format: str | None = None,
+    layers: Sequence[str] | None = None,
+    bounds: Bounds | None = None,
+) -> str:
+    """Write the map to a file in a format of EXPORTERS, by default the one that the ending says; returns its name.
+
+    Raises InputError for a format or ending that there is not, OutputError where the file can't be written.
+    """
+    path = Path(out)
+    name = format or format_of(path)
+    if name not in EXPORTERS:
+        raise InputError(f"no format '{name}'; there are: {known_formats()}")
+    EXPORTERS[name].write(replica, path, layers, bounds)
+    return name
+
+
+def format_of(path: Path) -> str:
+    """The format whose ending the path has. Raises InputError if none has it."""
+    for name, exporter in EXPORTERS.items():
+        if path.suffix.lower() in exporter.suffixes:
+            return name
+    raise InputError(f"{path}: no format has the ending '{path.suffix}'; there are: {known_formats()}")
+
+
+def known_formats() -> str:
+    return ", ".join(f"{name} ({', '.join(exporter.suffixes)})" for name, exporter in EXPORTERS.items())
+
+
+__all__ = ["EXPORTERS", "Exporter", "export_map", "format_of", "known_formats"]

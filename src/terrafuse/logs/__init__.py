@@ -46,8 +46,9 @@ def _reader_of(source: Source) -> Reader:
     if "reader" in source.options:
         return READERS[choice(source, "reader", READERS, "")]
     for reader in READERS.values():
-        if reader.matches(source.path):
-            return reader
+        with damage_as_log_error(lambda: f"{source.path}: can't be looked at"):
+            if reader.matches(source.path):
+                return reader
     known = "\n".join(f"  {reader.name}: {reader.summary}" for reader in READERS.values())
     raise LogError(f"{source.path}: not a recording of a known format. Known, to force one with ?reader=NAME:\n{known}")
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import bz2
 import gzip
 import math
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
@@ -57,8 +58,10 @@ def matches(path: Path) -> bool:
     try:
         with _open_text(path) as lines:
             return any(line.startswith(KEYWORDS) for line in islice(lines, 500))
-    except (OSError, EOFError):  # not the compression that the name says
+    except OSError:  # not the compression that the name says
         return False
+    except (EOFError, zlib.error):  # it is, but damaged: to be said when it is opened
+        return True
 
 
 def open_carmen(source: Source) -> Log:

@@ -9,6 +9,7 @@ from pathlib import Path
 from terrafuse.errors import LogError
 from terrafuse.logs.base import Log, Reader, Record, Source
 from terrafuse.logs.las import read_points
+from terrafuse.logs.las_size import check_sizes
 from terrafuse.logs.libraries import library
 from terrafuse.logs.options import MAX_GAP_HELP, file_option, listed, max_gap_ns, whole_numbers
 from terrafuse.logs.points.pcd import read_pcd
@@ -24,6 +25,7 @@ ReadPoints = Callable[[Path], Array]
 
 def read_las(path: Path) -> Array:
     """Coordinates as the file has them: with a trajectory, LAS is a mere container whose CRS says nothing."""
+    check_sizes(path)
     return read_points(library("laspy", "LAS", "las").read(path))
 
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 from terrafuse.errors import LogError, TerrafuseError
 from terrafuse.logs.base import Log, Record
-from terrafuse.logs.options import NS
+from terrafuse.logs.stamps import in_seconds
 from terrafuse.types import Skipped, Stamp
 
 BACKWARDS = ("error", "drop")
@@ -22,9 +22,9 @@ def damage_as_log_error(where: Callable[[], str]) -> Iterator[None]:
     """
     try:
         yield
-    except (TerrafuseError, MemoryError):
+    except TerrafuseError:
         raise
-    except Exception as error:
+    except Exception as error:  # MemoryError too: a damaged length asks for terabytes
         text = str(error) or "no details"
         raise LogError(f"{where()}: truncated or damaged ({type(error).__name__}: {text})") from error
 
@@ -48,8 +48,8 @@ def forwards(records: Iterator[Record], log: Log, backwards: str, remedy: str) -
         if last is not None and record.stamp_ns < last:
             if backwards == "error":
                 raise LogError(
-                    f"{log.path}: record {number}: its stamp {record.stamp_ns / NS:.9f} s runs backwards, "
-                    f"the one before has {last / NS:.9f} s; {remedy}"
+                    f"{log.path}: record {number}: its stamp {in_seconds(record.stamp_ns)} s runs backwards, "
+                    f"the one before has {in_seconds(last)} s; {remedy}"
                 )
             yield Skipped(record.stamp_ns, "stamp runs backwards")
             continue

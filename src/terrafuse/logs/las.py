@@ -18,6 +18,7 @@ import numpy as np
 from terrafuse.errors import LogError
 from terrafuse.logs.base import Log, Reader, Record, Source
 from terrafuse.logs.las_crs import crs_of
+from terrafuse.logs.las_size import check_sizes
 from terrafuse.logs.libraries import library
 from terrafuse.logs.metric_crs import MetricCrs
 from terrafuse.logs.options import NS, listed, whole_numbers
@@ -97,6 +98,7 @@ def _none(path: Path) -> list[Path]:
 
 
 def _tile(laspy: Any, source: Source, path: Path) -> Tile:
+    check_sizes(path)
     with laspy.open(path) as reader:
         return Tile(path, crs_of(reader.header, path, source.options.get("crs")))
 
@@ -125,10 +127,11 @@ def _stamp(header: Any, chunks: Iterable[Any]) -> Stamp:
 
 def gps_to_unix_ns(adjusted_s: float) -> Stamp:
     """Adjusted standard GPS seconds → UTC; GPS has no leap seconds, so it is ahead by those since 1980."""
-    gps_s = adjusted_s + ADJUSTED_S + GPS_EPOCH_S
+    whole, part = divmod(adjusted_s, 1)  # apart, since a float of nanoseconds since 1970 is only good to 256
+    gps_s = int(whole) + ADJUSTED_S + GPS_EPOCH_S
     starts = [_midnight_s(year, month, 1) + ahead for ahead, (year, month) in enumerate(LEAP_DAYS, 1)]
     leaps = sum(gps_s >= start for start in starts)
-    return round((gps_s - leaps) * NS)
+    return (gps_s - leaps) * NS + round(part * NS)
 
 
 def _midnight_s(year: int, month: int, day: int) -> int:

@@ -9,6 +9,9 @@ from pathlib import Path
 from terrafuse.logs.options import NS
 from terrafuse.types import Stamp
 
+LAST_STAMP = 2**63
+"""Stamps are kept in int64 arrays."""
+
 
 def seconds_to_ns(text: str) -> Stamp:
     """Exact, since floats of seconds since 1970 are good to 0.2 µs only and equal stamps would not meet.
@@ -16,9 +19,18 @@ def seconds_to_ns(text: str) -> Stamp:
     Raises ValueError.
     """
     try:
-        return int((Decimal(text) * NS).to_integral_value())
-    except (InvalidOperation, OverflowError):
-        raise ValueError(f"'{text}' is not a number of seconds") from None
+        stamp = Decimal(text) * NS
+    except InvalidOperation:
+        stamp = Decimal("NaN")
+    if not (stamp.is_finite() and abs(stamp) < LAST_STAMP):
+        raise ValueError(f"'{text}' is not a number of seconds")
+    return int(stamp.to_integral_value())
+
+
+def in_seconds(stamp_ns: Stamp) -> str:
+    """For messages: all nine digits, as they stand in the file."""
+    sign, ns = ("-", -stamp_ns) if stamp_ns < 0 else ("", stamp_ns)
+    return f"{sign}{ns // NS}.{ns % NS:09d}"
 
 
 def stamp_of_name(stem: str) -> Stamp | None:

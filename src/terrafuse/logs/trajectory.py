@@ -16,7 +16,7 @@ from terrafuse.errors import PoseError
 from terrafuse.logs.base import Record
 from terrafuse.logs.options import NS
 from terrafuse.logs.rows import Row, rows
-from terrafuse.logs.stamps import seconds_to_ns
+from terrafuse.logs.stamps import in_seconds, seconds_to_ns
 from terrafuse.types import Array, Floats, Pose, Scan, Skipped, Stamp
 
 PoseAt = Callable[[Stamp], Pose]
@@ -103,7 +103,9 @@ def trajectory(stamps_ns: Any, positions: Any, quaternions: Any, name: Callable[
     lengths = np.linalg.norm(turns, axis=1)
     _refuse(~(np.isfinite(places).all(axis=1) & np.isfinite(lengths)), name, _not_finite)
     _refuse(np.abs(lengths - 1) > UNIT_TOLERANCE, name, lambda i: _not_unit(turns[i], float(lengths[i])))
-    _refuse(np.diff(stamps, prepend=stamps[:1] - 1) <= 0, name, lambda i: _not_after(stamps[i], stamps[i - 1]))
+    _refuse(
+        np.diff(stamps, prepend=stamps[:1] - 1) <= 0, name, lambda i: _not_after(int(stamps[i]), int(stamps[i - 1]))
+    )
     return Trajectory(stamps, places, turns / lengths[:, None])
 
 
@@ -122,7 +124,7 @@ def _not_unit(quaternion: Floats, length: float) -> str:
 
 
 def _not_after(stamp: int, before: int) -> str:
-    return f"stamp {stamp / NS:.9f} s is not after the one before, {before / NS:.9f} s; sort, remove repeats"
+    return f"stamp {in_seconds(stamp)} s is not after the one before, {in_seconds(before)} s; sort, remove repeats"
 
 
 def read_tum(path: Path) -> Trajectory:

@@ -38,7 +38,7 @@ def read_table(path: Path) -> Array:
     """Columns named x, y, z (any case), else the first three; float64. Raises LogError naming the file."""
     layout = _layout(path)
     try:
-        with path.open(encoding="utf-8", errors="replace") as lines:
+        with path.open(encoding="utf-8-sig", errors="replace") as lines:
             return np.loadtxt(
                 lines,
                 delimiter=layout.delimiter,
@@ -52,7 +52,7 @@ def read_table(path: Path) -> Array:
 
 
 def _layout(path: Path) -> Layout:
-    with path.open(encoding="utf-8", errors="replace") as lines:
+    with path.open(encoding="utf-8-sig", errors="replace") as lines:
         return _layout_of(lines, path)
 
 
@@ -64,7 +64,9 @@ def _layout_of(lines: TextIO, path: Path) -> Layout:
             if len(words) < 3:
                 raise LogError(f"{path}: {len(words)} columns; points need x, y, z")
             return Layout(delimiter, [0, 1, 2], skip)
-        names = [word.strip(" #/\"'").lower() for word in line.replace("#", " ").replace("//", " ").split(delimiter)]
+        names = [
+            word.strip(" \r\n#/\"'").lower() for word in line.replace("#", " ").replace("//", " ").split(delimiter)
+        ]
         if {"x", "y", "z"} <= set(names):
             return Layout(_next_delimiter(lines, delimiter), need_xyz(names, path), skip + 1)
         if line.strip() and not line.lstrip().startswith(("#", "//")):

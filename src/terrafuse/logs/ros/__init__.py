@@ -9,8 +9,8 @@ from terrafuse.errors import LogError
 from terrafuse.logs.base import Log, Reader, Record, Source
 from terrafuse.logs.options import MAX_GAP_HELP, listed
 from terrafuse.logs.ros.bag import Topic, bag_file, frame_of, is_bag, messages, opened, stamp_of, topics_of
-from terrafuse.logs.ros.messages import LASER_SCAN, POINT_CLOUD, points_of
-from terrafuse.logs.ros.motion import Motion, motion_of
+from terrafuse.logs.ros.motion import Motion, Recording, motion_of
+from terrafuse.logs.ros.points import LASER_SCAN, POINT_CLOUD, points_of
 from terrafuse.logs.trajectory import PoseAt, placed
 
 
@@ -21,7 +21,7 @@ def open_ros(source: Source) -> Log:
         topic = _cloud_topic(source, topics)
         _, first = next(messages(bag, topic, path))
         frame = frame_of(first.header.frame_id)
-        motion = motion_of(source, path, bag, topics, frame)
+        motion = motion_of(Recording(source, path, bag, topics), frame)
     motion(frame)  # a frame that can't be placed is an error now, not at the first scan
     return Log(source.path, READER.name, scans=lambda: _read(path, topic, motion), count=topic.count)
 

@@ -65,7 +65,7 @@ def opened(path: Path) -> Iterator[Any]:
     try:
         reader = highlevel.AnyReader([path], default_typestore=store)
         reader.open()
-    except (TerrafuseError, MemoryError):
+    except TerrafuseError:
         raise
     except Exception as error:  # rosbags also lets struct.error, AssertionError and others through
         remedy = REMEDIES.get(path.suffix, FOLDER_REMEDY)
@@ -94,7 +94,7 @@ def messages(bag: Any, topic: Topic, path: Path) -> Iterator[tuple[int, Any]]:
         for connection, _, raw in bag.messages(topic.connections):
             number += 1
             yield number, bag.deserialize(raw, connection.msgtype)
-    except (TerrafuseError, MemoryError):
+    except TerrafuseError:
         raise
     except Exception as error:
         where = f"{path}: {topic.name}: message {number or 1}"

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from terrafuse.errors import LogError
 from terrafuse.logs.options import listed
@@ -18,17 +20,54 @@ from terrafuse.types import Pose, Stamp
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
+@dataclass
+class Samples:
+    """What the messages said of one edge; `numbers` are those of the messages, for errors."""
+
+    stamps: list[Stamp] = field(default_factory=list)
+    numbers: list[int] = field(default_factory=list)
+    positions: list[tuple[float, float, float]] = field(default_factory=list)
+    quaternions: list[tuple[float, float, float, float]] = field(default_factory=list)
+
+
 @dataclass(frozen=True)
 class Edge:
-    """`T_parent_child` is a Trajectory where it moves, one Pose where it is fixed."""
+    """`latched` edges come from tf_static. Checked only where used: many bags have nonsense in frames of no concern."""
 
     parent: str
     child: str
-    T_parent_child: Pose | Trajectory
+    latched: bool
+    samples: Samples
+    where: str
 
-    @property
+    def at(self, stamp_ns: Stamp, max_gap_ns: int) -> Pose:
+        """T_parent_child at this time. Raises NoPose."""
+        return self.rigid if self.latched else self._poses.at(stamp_ns, max_gap_ns)
+
+    @cached_property
+    def rigid(self) -> Pose:
+        """T_parent_child of an edge that does not move: what the last message said."""
+        last = len(self.samples.stamps) - 1
+        return self._trajectory_of(np.array([last])).at(self.samples.stamps[last], 0)
+
+    @cached_property
     def moves(self) -> bool:
-        return isinstance(self.T_parent_child, Trajectory)
+        """Mountings are on /tf too in ROS 1 bags, over and over: a transform that never changes is one."""
+        values = np.hstack([self.samples.positions, self.samples.quaternions])
+        return not (self.latched or np.ptp(values, axis=0).max() < 1e-9)  # NaN counts as moving, to be refused
+
+    @cached_property
+    def _poses(self) -> Trajectory:
+        return self._trajectory_of(np.unique(np.array(self.samples.stamps, np.int64), return_index=True)[1])
+
+    def _trajectory_of(self, chosen: NDArray[np.intp]) -> Trajectory:
+        """As tf2 buffers do, `chosen` is ordered by stamp and has the first of several with one stamp."""
+        return trajectory(
+            np.array(self.samples.stamps)[chosen],
+            np.array(self.samples.positions)[chosen],
+            np.array(self.samples.quaternions)[chosen],
+            lambda i: f"{self.where}: message {self.samples.numbers[chosen[i]]}",
+        )
 
 
 @dataclass(frozen=True)
@@ -38,6 +77,10 @@ class Tree:
     path: Path
     edges: dict[str, Edge]
     other_parents: dict[str, set[str]] = field(default_factory=dict)
+
+    @property
+    def frames(self) -> set[str]:
+        return {name for edge in self.edges.values() for name in (edge.parent, edge.child)}
 
     def chain(self, frame: str, fixed_frame: str | None = None) -> list[Edge]:
         """Edges from `frame` up to the fixed frame, or to the root. Raises LogError if it is not above."""
@@ -56,11 +99,8 @@ class Tree:
             raise LogError(f"{self.path}: fixed_frame '{fixed_frame}' is not above the cloud's frame; tf has {above}")
         return edges
 
-    def moves(self, frame: str) -> bool:
-        return any(edge.moves for edge in self.chain(frame))
-
     def fixed_between(self, base: str, sensor: str) -> Pose | None:
-        """T_base_sensor where only fixed edges lie between the two, else None."""
+        """T_base_sensor where only rigid edges lie between the two, else None."""
         base_root, T_root_base = self._fixed_root(base)
         sensor_root, T_root_sensor = self._fixed_root(sensor)
         return T_root_base.inverse() @ T_root_sensor if base_root == sensor_root else None
@@ -68,9 +108,9 @@ class Tree:
     def _fixed_root(self, frame: str) -> tuple[str, Pose]:
         T_root_frame, root = Pose.identity(), frame
         for edge in self.chain(frame):
-            if not isinstance(edge.T_parent_child, Pose):
+            if edge.moves:
                 break
-            T_root_frame, root = edge.T_parent_child @ T_root_frame, edge.parent
+            T_root_frame, root = edge.rigid @ T_root_frame, edge.parent
         return root, T_root_frame
 
 
@@ -80,68 +120,36 @@ def pose_along(edges: list[Edge], max_gap_ns: int) -> PoseAt:
     def pose_at(stamp_ns: Stamp) -> Pose:
         T_fixed_frame = Pose.identity()
         for edge in edges:
-            T = edge.T_parent_child
-            T_fixed_frame = (T.at(stamp_ns, max_gap_ns) if isinstance(T, Trajectory) else T) @ T_fixed_frame
+            T_fixed_frame = edge.at(stamp_ns, max_gap_ns) @ T_fixed_frame
         return T_fixed_frame
 
     return pose_at
 
 
-@dataclass
-class _Samples:
-    stamps: list[Stamp] = field(default_factory=list)
-    numbers: list[int] = field(default_factory=list)
-    positions: list[tuple[float, float, float]] = field(default_factory=list)
-    quaternions: list[tuple[float, float, float, float]] = field(default_factory=list)
-
-
 def read_tree(bag: Any, topics: Iterable[Topic], path: Path) -> Tree:
-    """The tree of these tf topics; those named …tf_static hold fixed edges, whose last message counts."""
-    samples: dict[tuple[str, str, bool], _Samples] = {}
-    names: dict[tuple[str, str, bool], str] = {}
+    """The tree of these tf topics; those named …tf_static hold latched edges, whose last message counts."""
+    edges: dict[tuple[str, str, bool], Edge] = {}
     for topic in topics:
-        fixed = topic.name.endswith("tf_static")
+        latched = topic.name.endswith("tf_static")
         for number, message in messages(bag, topic, path):
             for transform in message.transforms:
-                key = (frame_of(transform.header.frame_id), frame_of(transform.child_frame_id), fixed)
-                names.setdefault(key, topic.name)
-                _add(samples.setdefault(key, _Samples()), transform, number)
-    edges: dict[str, Edge] = {}
+                parent, child = frame_of(transform.header.frame_id), frame_of(transform.child_frame_id)
+                where = f"{path}: {topic.name} {parent} → {child}"
+                edge = edges.setdefault((parent, child, latched), Edge(parent, child, latched, Samples(), where))
+                _add(edge.samples, transform, number)
     parents: dict[str, set[str]] = {}
-    for (parent, child, fixed), found in sorted(samples.items(), key=lambda item: not item[0][2]):
-        parents.setdefault(child, set()).add(parent)
-        where = f"{path}: {names[parent, child, fixed]} {parent} → {child}"
-        edges[child] = Edge(parent, child, _fixed(found, where) if fixed else _moving(found, where))
-    return Tree(path, edges, {child: several for child, several in parents.items() if len(several) > 1})
+    for edge in edges.values():
+        parents.setdefault(edge.child, set()).add(edge.parent)
+    by_child = {edge.child: edge for edge in sorted(edges.values(), key=lambda edge: not edge.latched)}
+    return Tree(path, by_child, {child: several for child, several in parents.items() if len(several) > 1})
 
 
-def _add(samples: _Samples, transform: Any, number: int) -> None:
+def _add(samples: Samples, transform: Any, number: int) -> None:
     move, turn = transform.transform.translation, transform.transform.rotation
     samples.stamps.append(stamp_of(transform.header))
     samples.numbers.append(number)
     samples.positions.append((move.x, move.y, move.z))
     samples.quaternions.append((turn.x, turn.y, turn.z, turn.w))
-
-
-def _fixed(samples: _Samples, where: str) -> Pose:
-    one = trajectory(
-        samples.stamps[-1:],
-        samples.positions[-1:],
-        samples.quaternions[-1:],
-        lambda _: f"{where}: message {samples.numbers[-1]}",
-    )
-    return one.at(samples.stamps[-1], 0)
-
-
-def _moving(samples: _Samples, where: str) -> Trajectory:
-    """As tf2 buffers do: ordered by stamp, and of several transforms with one stamp the first counts."""
-    stamps, first = np.unique(np.array(samples.stamps, np.int64), return_index=True)
-    return trajectory(
-        stamps,
-        np.array(samples.positions)[first],
-        np.array(samples.quaternions)[first],
-        lambda i: f"{where}: message {samples.numbers[first[i]]}",
-    )
 
 
 def pose_from_numbers(text: str) -> Pose | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -28,57 +29,94 @@ IDENTITY = "if the clouds are already in the world's frame, say ?pose=identity"
 T_BASE_SENSOR = "?T_base_sensor=identity if they are the same, else ?T_base_sensor=x,y,z,qx,qy,qz,qw"
 
 
-def motion_of(source: Source, path: Path, bag: Any, topics: dict[str, Topic], frame: str) -> Motion:
+@dataclass(frozen=True)
+class Recording:
+    """An open bag, and what the user said of it."""
+
+    source: Source
+    path: Path
+    bag: Any
+    topics: dict[str, Topic]
+
+    @cached_property
+    def trees(self) -> dict[str, Tree]:
+        """One tree a namespace: /robot_1/tf and /robot_2/tf may use the same frame names."""
+        spaces: dict[str, list[Topic]] = {}
+        for topic in self.of_types(*TF_TYPES):
+            spaces.setdefault(_namespace(topic), []).append(topic)
+        return {space: read_tree(self.bag, found, self.path) for space, found in spaces.items()}
+
+    @property
+    def fixed_frame(self) -> str | None:
+        given = self.source.options.get("fixed_frame")
+        return None if given is None else frame_of(given)
+
+    def of_types(self, *types: str) -> list[Topic]:
+        return [topic for topic in self.topics.values() if topic.type in types]
+
+
+def motion_of(recording: Recording, frame: str) -> Motion:
     """The motion that the options name, else the only one there is; `frame` is that of the first cloud."""
-    asked = source.options.get("pose")
+    options, path = recording.source.options, recording.path
+    asked = options.get("pose")
     if asked == "identity":
         return lambda _: in_world
     if asked is not None:
-        return _asked(source, path, bag, topics, asked)
-    if "T_base_sensor" in source.options and "fixed_frame" not in source.options:
-        return _from_topic(source, path, bag, topics, _only_pose_topic(path, topics))
-    moving = {space: tree for space, tree in _trees(path, bag, topics).items() if _places(source, tree, frame)}
-    if len(moving) > 1:
-        raise LogError(f"{path}: several tf trees ({_choices(topics)}); say which: ?pose=TOPIC")
-    if moving:
-        return _from_tf(source, path, *moving.values())
-    return _from_topic(source, path, bag, topics, _only_pose_topic(path, topics))
+        return _asked(recording, asked)
+    if "T_base_sensor" in options and "fixed_frame" not in options:
+        return _from_topic(recording, _only_pose_topic(recording))
+    placing = [tree for tree in recording.trees.values() if _places(recording, tree, frame)]
+    if len(placing) > 1:
+        raise LogError(f"{path}: several tf trees ({_choices(recording)}); say which: ?pose=TOPIC")
+    return _from_tf(recording, *placing) if placing else _from_topic(recording, _only_pose_topic(recording))
 
 
-def _asked(source: Source, path: Path, bag: Any, topics: dict[str, Topic], asked: str) -> Motion:
-    if asked in topics and topics[asked].type in POSE_TYPES:
-        return _from_topic(source, path, bag, topics, topics[asked])
-    if asked in topics and topics[asked].type in TF_TYPES:
-        return _from_tf(source, path, _trees(path, bag, topics)[_namespace(topics[asked])])
-    raise LogError(f"{path}: ?pose={asked} is no topic with poses; there is {_choices(topics)}, or say ?pose=identity")
+def _asked(recording: Recording, asked: str) -> Motion:
+    topic = recording.topics.get(asked)
+    if topic in recording.of_types(*POSE_TYPES):
+        return _from_topic(recording, topic)
+    if topic in recording.of_types(*TF_TYPES):
+        return _from_tf(recording, recording.trees[_namespace(topic)])
+    raise LogError(
+        f"{recording.path}: ?pose={asked} is no topic with poses; there is {_choices(recording)}, or say ?pose=identity"
+    )
 
 
-def _places(source: Source, tree: Tree, frame: str) -> bool:
-    """Whether tf alone says how the sensor moved. A tree of fixed mountings or wheel joints does not."""
-    fixed_frame = source.options.get("fixed_frame")
-    return bool(tree.chain(frame, frame_of(fixed_frame))) if fixed_frame else tree.moves(frame)
+def _places(recording: Recording, tree: Tree, frame: str) -> bool:
+    """Whether tf says how the sensor moved in the world.
+
+    It does not where all above the sensor is rigid, nor where the root is the body whose odometry is a topic: then tf
+    only has mountings and joints, and would put every scan at the same place.
+    """
+    edges = tree.chain(frame, recording.fixed_frame)
+    if recording.fixed_frame is not None:
+        return True
+    return any(edge.moves for edge in edges) and edges[-1].parent not in _bodies(recording)
 
 
-def _from_tf(source: Source, path: Path, tree: Tree) -> Motion:
-    if "T_base_sensor" in source.options:
+def _bodies(recording: Recording) -> set[str]:
+    first = (next(messages(recording.bag, topic, recording.path)) for topic in recording.of_types(ODOMETRY))
+    return {frame_of(message.child_frame_id) for _, message in first}
+
+
+def _from_tf(recording: Recording, tree: Tree) -> Motion:
+    path, fixed_frame, gap_ns = recording.path, recording.fixed_frame, max_gap_ns(recording.source)
+    if "T_base_sensor" in recording.source.options:
         raise LogError(
             f"{path}: ?T_base_sensor does not count with tf, which has its own; drop it, or give ?pose=TOPIC"
         )
-    gap_ns, fixed_frame = max_gap_ns(source), source.options.get("fixed_frame")
 
     def poses_of(frame: str) -> PoseAt:
-        edges = tree.chain(frame, frame_of(fixed_frame) if fixed_frame else None)
-        if not edges and frame not in {edge.parent for edge in tree.edges.values()}:
-            raise LogError(
-                f"{path}: tf does not have the cloud's frame '{frame}', only {listed(tree.edges)}; {RECORD_POSES}"
-            )
-        return pose_along(edges, gap_ns)
+        if frame not in tree.frames:
+            known = listed(sorted(tree.frames))
+            raise LogError(f"{path}: tf does not have the cloud's frame '{frame}', only {known}; {RECORD_POSES}")
+        return pose_along(tree.chain(frame, fixed_frame), gap_ns)
 
     return poses_of
 
 
 @dataclass(frozen=True)
-class _Track:
+class Track:
     """A pose topic: poses of `child` ('' where the type does not say) in `world`."""
 
     topic: Topic
@@ -87,32 +125,38 @@ class _Track:
     poses: Trajectory
 
 
-def _from_topic(source: Source, path: Path, bag: Any, topics: dict[str, Topic], topic: Topic) -> Motion:
-    if "fixed_frame" in source.options:
-        raise LogError(f"{path}: ?fixed_frame only counts with tf; {topic.name} has its own: leave out one of them")
-    track = _read_track(path, bag, topic)
-    trees = _trees(path, bag, topics)
-    gap_ns = max_gap_ns(source)
+def _from_topic(recording: Recording, topic: Topic) -> Motion:
+    if recording.fixed_frame is not None:
+        raise LogError(
+            f"{recording.path}: ?fixed_frame only counts with tf; {topic.name} has its own: leave out one of them"
+        )
+    track = read_track(recording.bag, topic, recording.path)
+    gap_ns, given = max_gap_ns(recording.source), _given_mounting(recording)
+    trees = [] if given is not None else list(recording.trees.values())
 
     def poses_of(frame: str) -> PoseAt:
-        if frame == track.world != "" and "T_base_sensor" not in source.options:
+        if given is None and frame == track.world != "":
             return in_world
-        T_base_sensor = _mounting(source, path, trees, track, frame)
+        T_base_sensor = given or _mounting(recording.path, trees, track, frame)
         return lambda stamp_ns: track.poses.at(stamp_ns, gap_ns) @ T_base_sensor
 
     return poses_of
 
 
-def _mounting(source: Source, path: Path, trees: dict[str, Tree], track: _Track, frame: str) -> Pose:
-    text = source.options.get("T_base_sensor")
-    if text is not None:
-        given = pose_from_numbers(text)
-        if given is None:
-            raise LogError(f"{path}: ?T_base_sensor={text} is neither 'identity' nor x,y,z,qx,qy,qz,qw")
-        return given
+def _given_mounting(recording: Recording) -> Pose | None:
+    text = recording.source.options.get("T_base_sensor")
+    if text is None:
+        return None
+    given = pose_from_numbers(text)
+    if given is None:
+        raise LogError(f"{recording.path}: ?T_base_sensor={text} is neither 'identity' nor x,y,z,qx,qy,qz,qw")
+    return given
+
+
+def _mounting(path: Path, trees: list[Tree], track: Track, frame: str) -> Pose:
     if frame == track.child != "":
         return Pose.identity()
-    found = [T for tree in trees.values() if track.child and (T := tree.fixed_between(track.child, frame)) is not None]
+    found = [T for tree in trees if track.child and (T := tree.fixed_between(track.child, frame)) is not None]
     if len(found) == 1:
         return found[0]
     base = f"'{track.child}'" if track.child else "a frame that its type does not name"
@@ -122,22 +166,21 @@ def _mounting(source: Source, path: Path, trees: dict[str, Tree], track: _Track,
     )
 
 
-def _read_track(path: Path, bag: Any, topic: Topic) -> _Track:
+def read_track(bag: Any, topic: Topic, path: Path) -> Track:
+    """All poses of the topic. Raises PoseError for one that can't be used, LogError where the frames change."""
     frames: set[tuple[str, str]] = set()
     samples: dict[Stamp, tuple[int, tuple[float, ...]]] = {}
     for number, message in messages(bag, topic, path):
         frames.add((frame_of(message.header.frame_id), frame_of(getattr(message, "child_frame_id", ""))))
-        samples.setdefault(
-            stamp_of(message.header), (number, _seven(message.pose))
-        )  # repeats: the first counts, as in tf
+        # repeats say nothing new: the first counts, as in tf
+        samples.setdefault(stamp_of(message.header), (number, _seven(message.pose)))
     if len(frames) > 1:
         raise LogError(f"{path}: {topic.name} changes its frames ({listed(sorted(frames))}); give another ?pose=TOPIC")
-    values = np.array([numbers for _, numbers in samples.values()])
-    order = [number for number, _ in samples.values()]
-    poses = trajectory(
-        list(samples), values[:, :3], values[:, 3:], lambda i: f"{path}: {topic.name}: message {order[i]}"
-    )
-    return _Track(topic, *frames.pop(), poses)
+    numbers, values = zip(*samples.values(), strict=True)
+    table = np.array(values)
+    name = f"{path}: {topic.name}: message"
+    poses = trajectory(list(samples), table[:, :3], table[:, 3:], lambda i: f"{name} {numbers[i]}")
+    return Track(topic, *frames.pop(), poses)
 
 
 def _seven(pose: Any) -> tuple[float, ...]:
@@ -147,13 +190,13 @@ def _seven(pose: Any) -> tuple[float, ...]:
     return move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w
 
 
-def _only_pose_topic(path: Path, topics: dict[str, Topic]) -> Topic:
-    found = [topic for topic in topics.values() if topic.type in POSE_TYPES]
+def _only_pose_topic(recording: Recording) -> Topic:
+    path, found = recording.path, recording.of_types(*POSE_TYPES)
     if len(found) > 1:
         raise LogError(f"{path}: several topics have poses ({listed(found)}); say which: ?pose={found[0].name}")
     if found:
         return found[0]
-    tf = [topic for topic in topics.values() if topic.type in TF_TYPES]
+    tf = recording.of_types(*TF_TYPES)
     if tf:
         raise LogError(
             f"{path}: {listed(tf)} has no moving frame above the clouds'; {RECORD_POSES}; "
@@ -162,18 +205,9 @@ def _only_pose_topic(path: Path, topics: dict[str, Topic]) -> Topic:
     raise LogError(f"{path}: no poses; {RECORD_POSES}; {IDENTITY}")
 
 
-def _trees(path: Path, bag: Any, topics: dict[str, Topic]) -> dict[str, Tree]:
-    """One tree a namespace: /robot_1/tf and /robot_2/tf may use the same frame names."""
-    spaces: dict[str, list[Topic]] = {}
-    for topic in topics.values():
-        if topic.type in TF_TYPES:
-            spaces.setdefault(_namespace(topic), []).append(topic)
-    return {space: read_tree(bag, found, path) for space, found in spaces.items()}
-
-
 def _namespace(topic: Topic) -> str:
     return topic.name.rpartition("/")[0]
 
 
-def _choices(topics: dict[str, Topic]) -> str:
-    return listed(topic for topic in topics.values() if topic.type in (*POSE_TYPES, *TF_TYPES))
+def _choices(recording: Recording) -> str:
+    return listed(recording.of_types(*POSE_TYPES, *TF_TYPES))

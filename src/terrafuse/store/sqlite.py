@@ -182,7 +182,9 @@ class SqliteStore:
 
     def _frames(self, where: tuple[str, int, int, int]) -> Iterator[tuple[int, bytes]]:
         place = "robot = ? AND level = ? AND x = ? AND y = ?"
-        base = self._connection.execute(f"SELECT through, count, cells FROM contributions WHERE {place}", where).fetchone()
+        base = self._connection.execute(
+            f"SELECT through, count, cells FROM contributions WHERE {place}", where
+        ).fetchone()
         through, count, frame = base or (0, 0, b"")
         if count:
             yield count, frame

@@ -49,7 +49,9 @@ class StoreTests:
         assert [entry.revision for entry in store.history()] == [1, 2, 3, 4, 5, 6]
 
     def test_order_and_repetition_make_no_difference(self, store: Store) -> None:
-        deltas = deltas_of("r1", random_scans(2, 5), LATTICE, MODEL) + deltas_of("r2", random_scans(3, 5), LATTICE, MODEL)
+        deltas = deltas_of("r1", random_scans(2, 5), LATTICE, MODEL) + deltas_of(
+            "r2", random_scans(3, 5), LATTICE, MODEL
+        )
         expected = Replica(LATTICE, MODEL)
         for delta in deltas:
             expected.apply(delta)

@@ -1,0 +1,5 @@
+"""python -m terrafuse"""
+
+from terrafuse.cli import main
+
+main()

@@ -1,0 +1,168 @@
+"""The commands, each a thin shell around a function of the library."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from terrafuse.cli import arguments
+from terrafuse.cli.output import bytes_text, log_progress, say, say_json
+
+Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout instead of text.")]
+Out = Annotated[Path, typer.Option("--out", help="Folder for the results.")]
+StoreFile = Annotated[Path, typer.Argument(metavar="STORE", help="A store: the map.db of a mapping run.")]
+LOG_HELP = (
+    "A robot's name and its log: a ROS 1/2 bag or MCAP file, a KITTI folder, a folder of clouds with a TUM trajectory, "
+    "LAS/LAZ, a CARMEN log, an Argoverse 2 log. Options follow the path: r1=drive.mcap?topic=/lidar"
+)
+
+
+def map_(
+    logs: Annotated[list[str], typer.Argument(metavar="NAME=LOG…", help=LOG_HELP)],
+    out: Out,
+    model: Annotated[str, typer.Option(help="Cell model.")] = "elevation",
+    resolution: Annotated[float, typer.Option(help="Side of a cell, metres.")] = 0.1,
+    tile: Annotated[
+        float | None, typer.Option(help="Side of a tile, metres; a whole number of cells.  [default: 40]")
+    ] = None,
+    crs: Annotated[str | None, typer.Option(help="CRS of the map, like EPSG:32632.  [default: the logs' own]")] = None,
+    origin: Annotated[
+        str | None, typer.Option(metavar="E,N", help="Where the origin of logs in a local frame lies, in the CRS.")
+    ] = None,
+    window: Annotated[str, typer.Option(help="Tiles that a robot keeps in memory: tiles3x3 or all.")] = "tiles3x3",
+    static: Annotated[
+        bool, typer.Option("--static", help="Plain statistics: nothing moves, no ghosts to remove.")
+    ] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the map that is in the folder.")] = False,
+    json: Json = False,
+) -> None:
+    """Map the logs of one or several robots into one shared map.
+
+    Writes map.db (the store), map.tif (a multi-band Cloud Optimized GeoTIFF), map.png, report.html and report.json.
+    A run that was cut short goes on when it is started again.
+    """
+    from terrafuse import config, mapping, results
+
+    named = arguments.robots(logs)
+    settings = config.map_settings(
+        model=model,
+        model_settings={"static": True} if static else {},
+        resolution_m=resolution,
+        tile_m=tile,
+        crs=crs,
+        origin_m=arguments.numbers(origin, "EAST,NORTH"),
+        window=window,
+    )
+    plan = mapping.plan(named, settings)
+    with log_progress() as progress:
+        report = results.run(plan, out, overwrite=overwrite, progress=progress, stage=progress.stage)
+    if json:
+        say_json(report)
+    else:
+        _tell_map(report, out)
+
+
+def _tell_map(report: dict[str, Any], out: Path) -> None:
+    for name, robot in report["robots"].items():
+        lost = sum(robot["skipped"].values())
+        note = f", {lost} not placed" if lost else ""
+        say(
+            f"{name}: {robot['scans']} scans{note}, {robot['points'] / 1e6:.2f} M points, "
+            f"{robot['distance_m']:.0f} m, deltas {bytes_text(report['delta_bytes_per_robot'][name])}"
+        )
+    say(
+        f"map: {report['cells']:,} cells of {report['map']['resolution_m']:g} m in {report['tiles']} tiles, "
+        f"{report['points_per_second'] / 1e6:.1f} M points/s"
+    )
+    say("wrote " + ", ".join(str(out / file) for file in report["files"].values()))
+
+
+def info(store: StoreFile, json: Json = False) -> None:
+    """Show what a store holds: its map, its robots, the layers' ranges."""
+    from terrafuse.replica import Replica
+    from terrafuse.results import delta_bytes, map_facts
+    from terrafuse.store.sqlite import SqliteStore
+
+    with SqliteStore.open(store) as opened:
+        facts = map_facts(Replica(store=opened))
+        history, size = opened.history(), delta_bytes(opened)
+        facts["robots"] = {
+            name: {
+                "revision": opened.revision(name),
+                "deltas": sum(entry.robot == name for entry in history),
+                "delta_bytes": size[name],
+                "poses": len(opened.poses(name)),
+            }
+            for name in opened.robots()
+        }
+    if json:
+        say_json(facts)
+    else:
+        _tell_info(facts)
+
+
+def _tell_info(facts: dict[str, Any]) -> None:
+    about = facts["map"]
+    say(f"model {about['model']}, {about['resolution_m']:g} m cells in {about['tile_m']:g} m tiles")
+    say(f"frame {about['crs'] or 'local, metres'}")
+    say(f"{facts['cells']:,} cells in {facts['tiles']} tiles, bounds {facts['bounds']}")
+    say(f"digest {about['digest']}")
+    for name, robot in facts["robots"].items():
+        say(f"{name}: revision {robot['revision']}, {robot['deltas']} deltas, {bytes_text(robot['delta_bytes'])}")
+    for name, layer in facts["layers"].items():
+        if layer["cells"]:
+            say(f"  {name:14} {layer['min']:12.4g} … {layer['mean']:12.4g} … {layer['max']:12.4g} {layer['unit']}")
+
+
+def export(
+    store: StoreFile,
+    out: Annotated[Path, typer.Option("--out", help="The file to write.")],
+    format: Annotated[str | None, typer.Option(help="cog, png or npz.  [default: by the file's ending]")] = None,
+    layer: Annotated[
+        list[str] | None, typer.Option(help="A layer; may be given several times.  [default: all]")
+    ] = None,
+    bounds: Annotated[str | None, typer.Option(metavar="W,S,E,N", help="Part of the map, metres.")] = None,
+    only: Annotated[list[str] | None, typer.Option(metavar="ROBOT", help="Only this robot's part; repeatable.")] = None,
+    without: Annotated[
+        list[str] | None, typer.Option(metavar="ROBOT", help="Leave this robot out; repeatable.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Write a map, or a part or some layers of it, for other tools."""
+    from terrafuse.export import export_map
+    from terrafuse.replica import Replica, check_robots
+    from terrafuse.store.sqlite import SqliteStore
+
+    part = arguments.bounds(bounds)
+    with SqliteStore.open(store) as opened:
+        check_robots(opened, [*(only or []), *(without or [])])
+        replica = Replica(store=opened, only=only, without=without or ())
+        written = export_map(replica, out, format=format, layers=layer, bounds=part)
+    if json:
+        say_json({"out": str(out), "format": written})
+    else:
+        say(f"wrote {out}")
+
+
+def demo(
+    out: Out = Path("demo"),
+    headless: Annotated[bool, typer.Option("--headless", help="Do not open the picture.")] = False,
+    json: Json = False,
+) -> None:
+    """Map a small invented place, driven by two robots past a moving car, and measure the error against the truth."""
+    from terrafuse.cli.demo import run_demo
+
+    with log_progress() as progress:
+        report = run_demo(out, progress)
+    if json:
+        say_json(report)
+        return
+    _tell_map(report, out)
+    for name, value in report["truth"].items():
+        say(f"  {name}: {value:.4g}" if isinstance(value, float) else f"  {name}: {value}")
+    picture = out / report["files"]["picture"]
+    say(f"picture: {picture}")
+    if not headless:
+        typer.launch(str(picture))

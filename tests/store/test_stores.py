@@ -22,8 +22,8 @@ from terrafuse.testing.stores import LATTICE, MODEL, StoreTests
 
 class TestMemoryStore(StoreTests):
     @pytest.fixture
-    def store(self) -> Iterator[Store]:
-        yield MemoryStore(LATTICE, MODEL)
+    def store(self) -> Store:
+        return MemoryStore(LATTICE, MODEL)
 
 
 class TestSqliteStore(StoreTests):
@@ -100,11 +100,16 @@ def test_a_real_full_store_is_refused_and_loses_nothing(tmp_path: Path) -> None:
     before = Replica(store=store).digest()
     (pages,) = store._connection.execute("PRAGMA page_count").fetchone()
     store._connection.execute(f"PRAGMA max_page_count = {pages}")
-    with pytest.raises(OutputError, match="full"):
-        for seed in range(100):
-            for delta in deltas_of(f"r{seed}", random_scans(seed, 3), LATTICE, MODEL):
+    refused = 0
+    for seed in range(20):
+        for delta in deltas_of(f"r{seed}", random_scans(seed, 3), LATTICE, MODEL):
+            try:
                 store.accept(delta)
                 before = Replica(store=store).digest()
+            except OutputError as error:
+                assert "full" in str(error)  # noqa: PT017, which delta is the first to be refused is SQLite's business
+                refused += 1
+    assert refused > 0
     assert Replica(store=store).digest() == before
     store.close()
 

@@ -97,8 +97,8 @@ def _write_tiles(
 
 
 def _profile(replica: Replica, layers: Sequence[Layer], window: views.CellWindow) -> dict[str, Any]:
+    from rasterio import Affine
     from rasterio.crs import CRS
-    from rasterio.transform import from_origin
 
     height, width = views.shape_of(window)
     bounds, r = views.bounds_of(replica, window), replica.lattice.resolution_m
@@ -111,7 +111,7 @@ def _profile(replica: Replica, layers: Sequence[Layer], window: views.CellWindow
         "dtype": "float32",
         "nodata": float("nan"),
         "crs": None if name is None else CRS.from_wkt(crs.parse(name).to_wkt()),
-        "transform": from_origin(bounds.west, bounds.north, r, r),
+        "transform": Affine(r, 0.0, bounds.west, 0.0, -r, bounds.north),
         "tiled": True,
         "blockxsize": BLOCK,
         "blockysize": BLOCK,

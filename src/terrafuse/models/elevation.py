@@ -33,9 +33,9 @@ class Elevation:
     flat_tolerance_m: float = 0.10
     """Two flat surfaces whose means are further apart are different surfaces."""
     flat_slope: float = 0.5
-    """The slope that a flat cell may have. Two looks at different parts of a cell of side r on such a slope differ by up
-    to slope·r in mean, and points within one have a variance of up to (slope·r)²/4: both thresholds are at least that,
-    or large cells on a hillside would count as moving. Up to 0.2 m it changes nothing."""
+    """The slope that a flat cell may have. Two looks at different parts of a cell of side r on such a slope differ by
+    up to slope·r in mean, and points within one have a variance of up to (slope·r)²/4: both thresholds are at least
+    that, or large cells on a hillside would count as moving. Up to 0.2 m it changes nothing."""
     min_range_m: float = 0.0
     max_range_m: float = 1e8
     """Points nearer or further from the sensor are dropped; the default keeps all."""

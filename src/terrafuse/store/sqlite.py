@@ -258,7 +258,7 @@ def _check_schema(path: Path, connection: sqlite3.Connection) -> None:
     if schema > SCHEMA:
         connection.close()
         raise StoreMismatch(
-            f"{path}: store schema {schema} is newer than {SCHEMA}, the newest this terrafuse knows: pip install -U terrafuse"
+            f"{path}: store schema {schema} is newer than {SCHEMA}, the newest known here: pip install -U terrafuse"
         )
     if schema < SCHEMA:
         connection.close()

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.program import record, terrafuse
+
 
 @pytest.fixture(scope="session")
 def recordings() -> Path:
@@ -15,3 +17,22 @@ def recordings() -> Path:
     if not folder:
         pytest.skip("TERRAFUSE_RECORDINGS is not set: no real recordings here")
     return Path(folder)
+
+
+@pytest.fixture(scope="session")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Logs of two robots, 40 scans each."""
+    folder = tmp_path_factory.mktemp("logs")
+    return {"r1": record(folder / "r1.mcap", 1, 40), "r2": record(folder / "r2.mcap", 2, 40, shift_m=8.0)}
+
+
+@pytest.fixture(scope="session")
+def mapped(tmp_path_factory: pytest.TempPathFactory, logs: dict[str, Path]) -> Path:
+    """The folder of a finished mapping run of `logs` in EPSG:32632."""
+    out = tmp_path_factory.mktemp("mapped") / "out"
+    ran = terrafuse(
+        "map", *(f"{name}={log}" for name, log in logs.items()),
+        "--resolution", "0.2", "--crs", "EPSG:32632", "--origin", "500000,4000000", "--out", out,
+    )  # fmt: skip
+    assert ran.code == 0, ran.err
+    return out

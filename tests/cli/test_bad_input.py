@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.cli.conftest import Ran, record, terrafuse
+from tests.program import Ran, record, terrafuse
 
 FINAL_NAMES = {"map.db", "map.tif", "map.png", "report.html", "report.json"}
 

@@ -14,7 +14,7 @@ import pytest
 
 from terrafuse.replica import Replica
 from terrafuse.store.sqlite import SqliteStore
-from tests.cli.conftest import PROGRAM, record, terrafuse
+from tests.program import PROGRAM, record, terrafuse
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.conftest import terrafuse
+from tests.program import terrafuse
 
 rasterio = pytest.importorskip("rasterio")
 

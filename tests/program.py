@@ -1,4 +1,4 @@
-"""Small logs, and the program run as users run it."""
+"""The program run as users run it, and small logs to run it on."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from terrafuse.logs.recorder import McapRecorder
 from terrafuse.types import Pose
@@ -58,22 +57,3 @@ def record(path: Path, seed: int, scans: int, points: int = 2000, shift_m: float
             z = 0.3 * np.sin(world[:, 0] / 9) + (np.floor(world / 4).astype(int) % 3 == 0).all(axis=1) * 1.0
             recorder.scan(k * SCAN_NS, np.column_stack([around, z - 2.0 + rng.normal(0, 0.01, points)]))
     return path
-
-
-@pytest.fixture(scope="session")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Logs of two robots, 40 scans each."""
-    folder = tmp_path_factory.mktemp("logs")
-    return {"r1": record(folder / "r1.mcap", 1, 40), "r2": record(folder / "r2.mcap", 2, 40, shift_m=8.0)}
-
-
-@pytest.fixture(scope="session")
-def mapped(tmp_path_factory: pytest.TempPathFactory, logs: dict[str, Path]) -> Path:
-    """The folder of a finished mapping run of `logs` in EPSG:32632."""
-    out = tmp_path_factory.mktemp("mapped") / "out"
-    ran = terrafuse(
-        "map", *(f"{name}={log}" for name, log in logs.items()),
-        "--resolution", "0.2", "--crs", "EPSG:32632", "--origin", "500000,4000000", "--out", out,
-    )  # fmt: skip
-    assert ran.code == 0, ran.err
-    return out

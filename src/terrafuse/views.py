@@ -25,7 +25,7 @@ BLOCK = 100
 nobody saw are skipped."""
 
 STRIPE = 3
-"""Tiles are visited in stripes of this height, column by column: three columns of a stripe and its rims are 15 tiles,
+"""Tiles are visited in stripes of this width, line by line: three lines of a stripe and its rims are 15 tiles,
 which a replica keeps, so that a layer that looks at neighbours has a tile folded less than twice."""
 
 MAX_ARRAY_CELLS = 2**30
@@ -201,10 +201,12 @@ def parts(
 
 
 def _in_stripes(keys: Sequence[TileKey]) -> list[TileKey]:
-    rows = [key.y for key in keys]
-    low, tall = min(rows, default=0), max(rows, default=0) - min(rows, default=0) + 1
-    stripe = STRIPE if tall > STRIPE + 2 else tall
-    return sorted(keys, key=lambda key: ((key.y - low) // stripe, key.x, key.y))
+    """In stripes along the longer side of the map; a single one where the shorter side is a stripe and its rims."""
+    spread = [[key[axis] for key in keys] or [0] for axis in (0, 1)]
+    short, long = sorted((0, 1), key=lambda axis: max(spread[axis]) - min(spread[axis]))
+    low, rows = min(spread[short]), max(spread[short]) - min(spread[short]) + 1
+    stripe = STRIPE if rows > STRIPE + 2 else rows
+    return sorted(keys, key=lambda key: ((key[short] - low) // stripe, key[long], key[short]))
 
 
 def mosaic(replica: Replica, layers: Sequence[Layer], window: CellWindow) -> dict[str, Floats]:

@@ -14,6 +14,7 @@ with the floating-point predictor), and level 6 is 1 % off level 9 in less time.
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -26,10 +27,10 @@ from terrafuse.errors import InputError, MissingExtra
 from terrafuse.export.files import final
 from terrafuse.models.base import Layer
 from terrafuse.replica import Replica
-from terrafuse.types import Bounds
+from terrafuse.types import Array, Bounds
 
 BLOCK = 512
-CACHE_MB = 256
+CACHE_BYTES = 256 * 2**20
 DAY_S = 86_400
 MAX_CELLS = 2**34
 """A larger raster takes hours; most often, a scan was placed far away by mistake."""
@@ -68,18 +69,21 @@ def write_cog(
     if height * width > MAX_CELLS:
         raise InputError(f"a raster of {width}×{height} cells is too large; give the bounds of the part that matters")
     report = progress or (lambda _: None)
-    with final(path) as temporary, rasterio.Env(GDAL_CACHEMAX=CACHE_MB):
+    with final(path) as temporary, rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES):
         tiles = temporary.with_suffix(".tiles")
-        _write_tiles(replica, tiles, chosen, window, report)
+        written = _write_tiles(replica, tiles, chosen, window, report)
         _copy(tiles, temporary)
-        _check(tiles, temporary)
+        _check(temporary, written)
         report(1.0)
 
 
 def _write_tiles(
     replica: Replica, path: Path, layers: Sequence[Layer], window: views.CellWindow, progress: Callable[[float], None]
-) -> None:
-    """A plain GeoTIFF, filled tile by tile in any order: a COG can only be made from a finished raster."""
+) -> list[tuple[Any, int]]:
+    """A plain GeoTIFF, filled tile by tile in any order: a COG can only be made from a finished raster.
+
+    Returns (rasterio window, checksum) of each tile.
+    """
     import rasterio
     from rasterio.windows import Window
 
@@ -87,13 +91,21 @@ def _write_tiles(
     offsets = [float(_midnight_s(replica)) if layer.name == "stamp" else 0.0 for layer in layers]
     shift = np.array(offsets)[:, None, None]
     count = len(views.keys_in(replica, window))
+    written = []
     with rasterio.open(path, "w", **_profile(replica, layers, window)) as raster:
         _describe(raster, layers, offsets)
-        for done, (rows, columns, values) in enumerate(views.parts(replica, layers, window), 1):
-            stack = np.stack([values[layer.name][::-1] for layer in layers]) - shift
+        for rows, columns, values in views.parts(replica, layers, window):
+            stack = (np.stack([values[layer.name][::-1] for layer in layers]) - shift).astype(np.float32)
             part = Window(columns.start, height - rows.stop, stack.shape[2], stack.shape[1])
-            raster.write(stack.astype(np.float32), window=part)
-            progress(0.8 * done / count)
+            raster.write(stack, window=part)
+            written.append((part, _checksum(stack)))
+            progress(0.8 * len(written) / count)
+    return written
+
+
+def _checksum(stack: Array) -> int:
+    """Of values; one NaN is as good as another."""
+    return zlib.crc32(np.nan_to_num(stack, nan=-1e30).tobytes())
 
 
 def _profile(replica: Replica, layers: Sequence[Layer], window: views.CellWindow) -> dict[str, Any]:
@@ -147,16 +159,16 @@ def _copy(tiles: Path, path: Path) -> None:
         raise OSError(f"GDAL: {error}") from error
 
 
-def _check(tiles: Path, path: Path) -> None:
-    """Read everything back. Where the disk fills up while it copies, GDAL cuts the file off and says nothing."""
+def _check(path: Path, written: Sequence[tuple[Any, int]]) -> None:
+    """Read everything back. GDAL writes late, at closing, and does not say when that fails, as on a full disk."""
     import rasterio
 
-    with rasterio.open(tiles) as wanted, rasterio.open(path) as raster:
-        for _, window in raster.block_windows(1):
-            if not np.array_equal(wanted.read(window=window), raster.read(window=window), equal_nan=True):
-                raise OSError("GDAL wrote something else than it was given")
+    with rasterio.open(path) as raster:
         levels = len(raster.overviews(1))
+        for part, checksum in written:
+            if _checksum(raster.read(window=part)) != checksum:
+                raise OSError("what was read back is not what was written; is the disk full?")
     for level in range(levels):
         with rasterio.open(path, overview_level=level) as overview:
-            for _, window in overview.block_windows(1):
-                overview.read(window=window)
+            for _, block in overview.block_windows(1):
+                overview.read(window=block)

@@ -83,9 +83,9 @@ def av2_errors(recordings: Path, resolution_m: float, settings: Mapping[str, obj
         "within 0.3 m": float(near.mean()),
         "0.3 m or more above": float((difference >= 0.3).mean()),
         "0.3 m or more below": float((difference <= -0.3).mean()),
-        "median |z_min - raster| (m)": float(np.median(np.abs(difference[near]))),
-        "median of z_min - raster (m)": float(np.median(difference[near])),
-        "95 % of |z_min - raster| (m)": float(np.quantile(np.abs(difference[near]), 0.95)),
+        "median distance of z_min (m)": float(np.median(np.abs(difference[near]))),
+        "median of z_min − raster (m)": float(np.median(difference[near])),
+        "95 % of the distances (m)": float(np.quantile(np.abs(difference[near]), 0.95)),
     }
 
 
@@ -100,7 +100,7 @@ def av2_points(recordings: Path) -> dict[str, float]:
     difference = np.concatenate(differences)
     difference = difference[~np.isnan(difference)]
     near = np.abs(difference) <= 0.3
-    return {"points": len(difference), "median |z - raster| (m)": float(np.median(np.abs(difference[near])))}
+    return {"points": len(difference), "median distance (m)": float(np.median(np.abs(difference[near])))}
 
 
 # --- PDAL: cell statistics that its own tests state ------------------------------------------------------------------
@@ -205,7 +205,7 @@ def main() -> None:
     }
     print(table(rows) + "\n")
     points = av2_points(recordings)
-    print(f"All {points['points']:,} points on the raster, no map: median {points['median |z - raster| (m)']:.4f} m.\n")
+    print(f"All {points['points']:,} points on the raster, no map: median {points['median distance (m)']:.4f} m.\n")
     print("## PDAL's grid: largest difference in any cell\n")
     ours, theirs = pdal_grids(recordings)
     print(table({name: {"difference": float(np.nanmax(np.abs(ours[name] - theirs[name])))} for name in ours}) + "\n")

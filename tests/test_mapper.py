@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from terrafuse.errors import InputError
+from terrafuse.errors import InputError, PoseError
 from terrafuse.lattice import Lattice
 from terrafuse.mapper import Mapper
 from terrafuse.models import make_model
@@ -185,3 +185,54 @@ def test_a_window_that_drops_needs_an_archive() -> None:
     with pytest.raises(InputError, match="archive"):
         Mapper("r1", Lattice(0.5), MODEL, Tiles3x3(40.0))
     Mapper("r1", Lattice(0.5), MODEL, KeepAll(40.0))
+
+
+def test_a_load_that_fails_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    lattice, store = Lattice(0.5), MemoryStore(Lattice(0.5), MODEL)
+    spot = Scan(0, np.full((50, 3), 0.1), Pose.identity())
+    first = Mapper("r1", lattice, MODEL, Tiles3x3(40.0), store)
+    first.integrate(spot)
+    first.commit()
+    second = Mapper("r1", lattice, MODEL, Tiles3x3(40.0), store)
+    with monkeypatch.context() as broken:
+        broken.setattr(store, "load", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            second.integrate(spot)
+    second.integrate(spot)
+    second.commit()
+    assert Replica(store=store).cells(second.keys[0])["n"].sum() == 100
+
+
+def test_a_mapper_on_a_busy_archive_sees_what_still_waits(tmp_path: Path) -> None:
+    static = make_model("elevation", {"static": True})
+    with SqliteStore.create(tmp_path / "map.db", Lattice(0.5), static) as store:
+        archive = WriteBehind(store)
+        with store._lock:  # the writer can't get on
+            for scan in random_scans(1, 2):
+                mapper = Mapper("r1", Lattice(0.5), static, Tiles3x3(40.0), archive)
+                mapper.integrate(scan)
+                mapper.commit()
+        archive.close()
+        assert store.revision("r1") == 2
+        assert sum(Replica(store=store).cells(key)["n"].sum() for key in store.keys()) == 120
+
+
+def test_clouds_in_world_coordinates_page_too() -> None:
+    """Airborne tiles have no sensor pose: the window follows what they cover."""
+    lattice = Lattice(0.5)
+    mapper = Mapper("air", lattice, MODEL, Tiles3x3(lattice.tile_m), MemoryStore(lattice, MODEL))
+    for k in range(10):
+        corner = np.array([500_000 + 400 * k, 4_000_000, 0])
+        points = corner + np.random.default_rng(k).uniform(0, 30, (100, 3))
+        mapper.integrate(Scan(k, points, Pose.identity()))
+    assert mapper.paging.most_resident <= 4
+    assert mapper.paging.evictions >= 9
+
+
+@pytest.mark.parametrize("matrix", [np.diag([2.0, 2, 2, 1]), np.full((4, 4), np.nan)])
+def test_poses_are_checked(matrix: np.ndarray) -> None:
+    mapper = Mapper("r1", Lattice(0.5), MODEL)
+    with pytest.raises(PoseError, match="pose of robot 'r1' at stamp 0"):
+        mapper.integrate(Scan(0, np.zeros((1, 3)), Pose(matrix)))
+    with pytest.raises(InputError, match="beyond the lattice"):
+        mapper.integrate(Scan(0, np.zeros((1, 3)), Pose.identity().shifted(1e15, 0)))

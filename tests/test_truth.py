@@ -14,7 +14,7 @@ from tests import accuracy
 def test_surveyed_ground(recordings: Path, settings: dict[str, object]) -> None:
     errors = accuracy.av2_errors(recordings, 0.1, settings)
     assert errors["cells on the raster"] > 20_000
-    assert errors["median |z_min - raster| (m)"] <= 0.04
+    assert errors["median distance of z_min (m)"] <= 0.04
     assert errors["0.3 m or more below"] <= 0.001
 
 

@@ -21,7 +21,8 @@ DEFAULT_TILE_M = 40.0
 """Side of a tile in the *tiles* paper, at 0.1 m."""
 
 MAX_TILE_CELLS = 4096
-MAX_CELL = 2**31 - 1
+MAX_CELL = 2**40
+"""Millimetre cells reach around the Earth, and sums of indices stay exact in float64."""
 
 
 def default_tile_m(resolution_m: float) -> float:
@@ -47,6 +48,8 @@ class Lattice:
         if not (math.isfinite(self.tile_m) and self.tile_m > 0):
             raise LatticeError(f"tile {self.tile_m} m: give a positive number of metres a tile side")
         exact = self.tile_m / self.resolution_m
+        if not math.isfinite(exact):
+            raise LatticeError(f"cells of {self.resolution_m} m in tiles of {self.tile_m} m are too many to count")
         if round(exact) < 1 or abs(exact - round(exact)) > 1e-6:
             raise LatticeError(self._does_not_divide(exact))
         if round(exact) > MAX_TILE_CELLS:
@@ -91,6 +94,8 @@ class Lattice:
 
     def cell_window(self, bounds: Bounds) -> tuple[int, int, int, int]:
         """(i0, j0, i1, j1), half open, of the cells that overlap the bounds; edges on a cell border add no cell."""
+        if not all(map(math.isfinite, bounds)):
+            raise LatticeError(f"bounds {tuple(bounds)} are not finite; give west,south,east,north in metres")
         slack = 1e-6
         i0 = math.floor(bounds.west * self.cells_per_m + slack)
         j0 = math.floor(bounds.south * self.cells_per_m + slack)

@@ -7,14 +7,16 @@ from dataclasses import dataclass
 from time import perf_counter
 from typing import Protocol
 
+import numpy as np
+
 from terrafuse.errors import InputError
 from terrafuse.exchange.delta import Delta, TileCells, map_id
-from terrafuse.lattice import Lattice
+from terrafuse.lattice import MAX_CELL, Lattice, union
 from terrafuse.models import make_model
 from terrafuse.models.base import Model, Patch
 from terrafuse.store.base import PathPoint
 from terrafuse.tile import Tile
-from terrafuse.types import Scan, TileKey
+from terrafuse.types import Scan, TileKey, checked_pose
 from terrafuse.window import KeepAll, Window
 
 
@@ -104,8 +106,7 @@ class Mapper:
 
     def integrate(self, scan: Scan) -> Integrated:
         """Take a scan into the map: observe, page in, merge, page out."""
-        if not 0 <= scan.stamp_ns < 2**63:
-            raise InputError(f"stamp {scan.stamp_ns}: give nanoseconds since 1970 that fit 63 bits")
+        self._check(scan)
         t0 = perf_counter()
         patch = self._observe(scan)
         t1 = perf_counter()
@@ -117,11 +118,29 @@ class Mapper:
         if self._archive is not None:
             self._path.append(PathPoint(scan.stamp_ns, scan.T_world_sensor))
         t3 = perf_counter()
-        if self._window.move(*scan.T_world_sensor.position[:2]):
+        if self._window.move(*self._whereabouts(scan, patch)):
             self._evict(keep=set(patch.keys))
         for stage, seconds in zip(self.seconds, (t1 - t0, t2 - t1, t3 - t2, perf_counter() - t3), strict=True):
             self.seconds[stage] += seconds
         return Integrated(self._revision, patch.points, patch.dropped, len(patch.at), len(patch.keys))
+
+    def _check(self, scan: Scan) -> None:
+        if not 0 <= scan.stamp_ns < 2**63:
+            raise InputError(f"stamp {scan.stamp_ns}: give nanoseconds since 1970 that fit 63 bits")
+        checked_pose(scan.T_world_sensor.matrix, f"pose of robot '{self.robot}' at stamp {scan.stamp_ns}")
+        if np.abs(scan.T_world_sensor.position[:2]).max() * self.lattice.cells_per_m > MAX_CELL:
+            raise InputError(f"position {scan.T_world_sensor.position.tolist()} lies beyond the lattice")
+
+    def _whereabouts(self, scan: Scan, patch: Patch) -> tuple[float, float]:
+        """Where the window should be: the sensor's place, or the middle of what it saw if that is elsewhere.
+
+        A cloud that came in world coordinates has its "sensor" at the world's origin.
+        """
+        east_m, north_m = (float(v) for v in scan.T_world_sensor.position[:2])
+        seen = union(list(patch.keys), self.lattice)
+        if seen is None or (seen.west <= east_m <= seen.east and seen.south <= north_m <= seen.north):
+            return east_m, north_m
+        return (seen.west + seen.east) / 2, (seen.south + seen.north) / 2
 
     def delta(self, since: int = 0) -> Delta:
         """The cells that changed after revision `since`, as absolute states. Asking changes nothing."""
@@ -156,11 +175,13 @@ class Mapper:
         """The tile, from memory, from the archive, or new."""
         tile = self._resident.get(key)
         if tile is None:
-            tile = self._resident[key] = self.model.tile(self.lattice)
+            tile = self.model.tile(self.lattice)
             if key in self._revisions:
                 held = self._load(key)
                 tile.put(held.at, held.cells)
                 self.paging.loads += 1
+            # Only now: a load that failed must not leave an empty tile in the place of what is stored.
+            self._resident[key] = tile
             self.paging.most_resident = max(self.paging.most_resident, len(self._resident))
             self.paging.most_bytes = max(self.paging.most_bytes, self.resident_bytes)
         return tile

@@ -29,7 +29,7 @@ from terrafuse.mapper import Mapper
 from terrafuse.models import make_model
 from terrafuse.models.base import Model
 from terrafuse.store.behind import WriteBehind
-from terrafuse.store.sqlite import SqliteStore
+from terrafuse.store.sqlite import SqliteStore, remove_store
 from terrafuse.types import Scan
 from terrafuse.window import make_window
 
@@ -74,12 +74,18 @@ class Plan:
         """What must be equal for an unfinished run to go on: all that decides what a scan's revision holds."""
         return {
             "settings": self.settings.model_dump(mode="json", exclude={"commit_scans", "window"}),
+            "model": self.model.settings(),
             "logs": {name: [self._read_as(name), _content(log.path)] for name, log in self.logs.items()},
         }
 
-    def _read_as(self, name: str) -> list[str]:
-        """`backwards=drop` is how a run goes on that stopped at such a scan."""
-        return sorted(f"{key}={value}" for key, value in self.options[name].items() if key != "backwards")
+    def _read_as(self, name: str) -> list[Any]:
+        """The options, and what is in files that they name; `backwards=drop` is how a run goes on that stopped."""
+        out: list[Any] = []
+        for key, value in sorted(self.options[name].items()):
+            if key != "backwards":
+                files = [path for path in (Path(value), self.logs[name].path / value) if path.is_file()]
+                out.append([key, value, *(_content(path) for path in files[:1])])
+        return out
 
 
 def plan(sources: Mapping[str, str], settings: MapSettings) -> Plan:
@@ -109,19 +115,23 @@ def _check_frames(logs: Mapping[str, Log], settings: MapSettings) -> None:
         )
 
 
-def open_partial(path: Path, run: Plan) -> SqliteStore:
-    """The store of this run: new, or that of the same run cut short. Raises StoreMismatch for another's."""
+def open_partial(path: Path, run: Plan, overwrite: bool = False) -> SqliteStore:
+    """The store of this run: new, or that of the same run cut short.
+
+    Raises StoreMismatch for another's, unless it may be overwritten.
+    """
     if not path.exists():
-        store = SqliteStore.create(path, run.lattice, run.model)
-        store.note("run", run.fingerprint)
-        return store
+        return SqliteStore.create(path, run.lattice, run.model, {"run": run.fingerprint})
     store = SqliteStore.open(path)
     held = store.notes().get("run")
     if held != run.fingerprint:
         store.close()
+        if overwrite:
+            remove_store(path)
+            return open_partial(path, run)
         raise StoreMismatch(
             f"{path}: an unfinished run with other logs or settings; run that again to finish it, "
-            "or delete the file, or choose another --out"
+            "or start afresh with --overwrite, or choose another --out"
         )
     return store
 
@@ -222,16 +232,27 @@ def _check_something_seen(run: Plan, reports: Mapping[str, RobotReport]) -> None
             )
 
 
-def _content(path: Path) -> list[Any]:
-    """Size and a digest of a log's beginning and end, or of a folder's listing: enough to notice another log."""
+WHOLE_BYTES = 1 << 20
+EDGE_BYTES = 1 << 16
+
+
+def _content(path: Path) -> Any:
+    """Enough of a log to notice another one: sizes, all of small files (poses, …), the edges of large ones."""
     if path.is_dir():
-        listing = sorted((p.name, p.stat().st_size) for p in path.rglob("*") if p.is_file())
-        return [len(listing), hashlib.sha256(repr(listing).encode()).hexdigest()]
+        files = sorted(p for p in path.rglob("*") if p.is_file())
+        listing = [(str(p.relative_to(path)), p.stat().st_size) for p in files]
+        small = [_content(p) for p in files if p.stat().st_size <= WHOLE_BYTES and p.suffix in TEXT_SUFFIXES]
+        return hashlib.sha256(repr((listing, small)).encode()).hexdigest()
     size = path.stat().st_size
     with path.open("rb") as file:
-        head = file.read(1 << 16)
-        file.seek(max(0, size - (1 << 16)), os.SEEK_SET)
-        return [size, hashlib.sha256(head + file.read()).hexdigest()]
+        content = file.read(WHOLE_BYTES if size <= WHOLE_BYTES else EDGE_BYTES)
+        if size > WHOLE_BYTES:
+            file.seek(-EDGE_BYTES, os.SEEK_END)
+            content += file.read()
+    return [size, hashlib.sha256(content).hexdigest()]
+
+
+TEXT_SUFFIXES = {".txt", ".tum", ".csv", ".yaml", ".json"}
 
 
 def make_folder(out: Path) -> None:

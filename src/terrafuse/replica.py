@@ -46,22 +46,19 @@ class Replica:
             if lattice is None:
                 raise ValueError("give a lattice, or a store that has one")
             store = MemoryStore(lattice, model or make_model("elevation"))
-        self.store = store
+        self.store: Store = store
         self.lattice = store.map.lattice
         self.model = store.model
         self._only, self._without = only, frozenset(without)
         self._cache: dict[TileKey, Array] = {}
+        self._version = store.version()
 
     def apply(self, delta: Delta) -> bool:
         """Take a robot's delta in; False if it was here already. Order, repetition and delay make no difference.
 
         Raises DeltaError for a delta of another map; nothing is then changed.
         """
-        news = self.store.accept(delta)
-        if news:
-            for tile in delta.tiles:
-                self._cache.pop(tile.key, None)
-        return news
+        return self.store.accept(delta)
 
     @property
     def robots(self) -> list[str]:
@@ -76,6 +73,10 @@ class Replica:
 
     def cells(self, key: TileKey) -> Array:
         """The global cells of a tile, (T, T) records, [j, i]; unknown where nobody reported. Read-only."""
+        version = self.store.version()
+        if version != self._version:
+            self._cache.clear()  # whoever wrote: the map is what the store holds now
+            self._version = version
         if key not in self._cache:
             while len(self._cache) >= CACHED_TILES:
                 self._cache.pop(next(iter(self._cache)))

@@ -12,17 +12,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from terrafuse import __version__, views
-from terrafuse.errors import MissingExtra, OutputError
+from terrafuse.errors import MissingExtra, OutputError, TerrafuseError
 from terrafuse.export.cog import write_cog
 from terrafuse.export.files import final
-from terrafuse.export.picture import write_picture
+from terrafuse.export.picture import robot_paths, write_picture
 from terrafuse.export.report import write_report
 from terrafuse.mapping import Plan, Progress, RobotReport, make_folder, map_logs, open_partial
 from terrafuse.replica import Replica
-from terrafuse.store.sqlite import SqliteStore
+from terrafuse.store.sqlite import SqliteStore, remove_store
 
 STORE, PARTIAL_STORE = "map.db", "map.partial.db"
 FILES = {
@@ -44,13 +42,16 @@ def run(
 
     The store grows under the name map.partial.db and becomes map.db when all else is written: a run that was cut short
     leaves a store that opens, and the same run started again goes on from it. Raises OutputError where `out` holds a
-    map already, unless `overwrite`.
+    map already, unless `overwrite`; the old map goes when the new one is whole.
     """
     _check_extras()
     make_folder(out)
-    _make_room(out, overwrite)
+    if (out / STORE).exists() and not overwrite:
+        raise OutputError(
+            f"{out / STORE}: there is a map already; choose another --out, or replace it with --overwrite"
+        )
     partial = out / PARTIAL_STORE
-    store = open_partial(partial, plan)
+    store = open_partial(partial, plan, overwrite)
     try:
         started = time.perf_counter()
         robots = map_logs(plan, store, progress)
@@ -58,11 +59,9 @@ def run(
         report = _write(plan, store, out, robots, seconds, stage or (lambda _: None))
         store.finish()
     except BaseException:
-        empty = not store.keys()
-        store.close()
-        if empty:
-            _remove_store(partial)
+        _close_partial(store)
         raise
+    remove_store(out / STORE)
     os.replace(partial, out / STORE)
     return report
 
@@ -76,7 +75,7 @@ def _write(
     stage: Stage,
 ) -> dict[str, Any]:
     replica = Replica(store=store)
-    paths = {name: path_of(store, name) for name in store.robots()}
+    paths = robot_paths(replica)
 
     def timed(word: str, work: Callable[[], Any]) -> Any:
         stage(word)
@@ -93,11 +92,6 @@ def _write(
     with final(out / FILES["report_json"]) as temporary:
         temporary.write_text(json.dumps(report, indent=1, allow_nan=False) + "\n")
     return dict(report)
-
-
-def path_of(store: SqliteStore, robot: str) -> Any:
-    """East and north of a robot's sensor at each scan, (N, 2) metres."""
-    return np.array([point.T_world_sensor.position[:2] for point in store.poses(robot)]).reshape(-1, 2)
 
 
 def map_facts(replica: Replica) -> dict[str, Any]:
@@ -171,16 +165,12 @@ def _check_extras() -> None:
             raise MissingExtra("terrafuse map", module, extra) from error
 
 
-def _make_room(out: Path, overwrite: bool) -> None:
-    if (out / STORE).exists() and not overwrite:
-        raise OutputError(
-            f"{out / STORE}: there is a map already; choose another --out, or replace it with --overwrite"
-        )
-    if overwrite:
-        _remove_store(out / PARTIAL_STORE)
-        _remove_store(out / STORE)
-
-
-def _remove_store(path: Path) -> None:
-    for suffix in ("", "-wal", "-shm"):
-        Path(f"{path}{suffix}").unlink(missing_ok=True)
+def _close_partial(store: SqliteStore) -> None:
+    """After a fault: keep what was mapped, leave nothing where nothing was."""
+    try:
+        empty = not store.keys()
+    except TerrafuseError:
+        empty = False
+    store.close()
+    if empty:
+        remove_store(store.file)

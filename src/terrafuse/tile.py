@@ -28,7 +28,7 @@ class Tile(Protocol):
     """Of the last scan that touched it."""
 
     def merge(self, at: Array, patch: Array, stamp_ns: int, revision: int) -> None:
-        """Take in a patch's records at distinct positions. `revision` is larger than any before."""
+        """Take in a patch's records at distinct positions. `revision` is no smaller than any before."""
 
     def changed(self, since: int) -> tuple[Array, Array]:
         """(positions rising, cells) of what changed after revision `since`.
@@ -42,28 +42,3 @@ class Tile(Protocol):
     @property
     def nbytes(self) -> int:
         """Bytes allocated."""
-
-
-class DenseTile:
-    """The plain layout: one record a cell. `merge_into(cells, at, patch, stamp_ns, revision)` is the model's rule."""
-
-    def __init__(self, side: int, dtype: np.dtype[Any], merge_into: Any) -> None:
-        self.revision = 0
-        self.cells = np.zeros(side * side, dtype)
-        self._merge_into = merge_into
-
-    def merge(self, at: Array, patch: Array, stamp_ns: int, revision: int) -> None:
-        self._merge_into(self.cells, at, patch, stamp_ns, revision)
-        self.revision = revision
-
-    def changed(self, since: int) -> tuple[Array, Array]:
-        at = np.flatnonzero(self.cells["revision"] > since).astype(np.int32)
-        return at, self.cells[at]
-
-    def put(self, at: Array, cells: Array) -> None:
-        self.cells[at] = cells
-        self.revision = max(self.revision, int(cells["revision"].max(initial=0)))
-
-    @property
-    def nbytes(self) -> int:
-        return int(self.cells.nbytes)

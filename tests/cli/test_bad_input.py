@@ -111,6 +111,16 @@ def test_a_fault_late_in_a_log_keeps_what_was_mapped(out: Path, tmp_path: Path) 
     assert ran.json["robots"]["r1"]["resumed_scans"] > 0
 
 
+def test_other_poses_are_another_run(out: Path, tmp_path: Path) -> None:
+    """An edited trajectory of the same size must not be mixed into what was mapped with the first."""
+    source = kitti_folder(tmp_path / "log", [0.1 * k for k in range(50)] + [0.0])
+    refused(out, source, says=("backwards=drop",))
+    poses = tmp_path / "log/poses.txt"
+    poses.write_text(poses.read_text().replace("1 0 0 0 0 1 0 0 0 0 1 0", "1 0 0 5 0 1 0 0 0 0 1 0"))
+    refused(out, f"{source}&backwards=drop", says=("unfinished run with other logs", "--overwrite"))
+    assert terrafuse("map", f"{source}&backwards=drop", "--out", out, "--overwrite").code == 0
+
+
 def test_a_name_given_twice(out: Path, logs: dict[str, Path]) -> None:
     refused(out, f"r1={logs['r1']}", f"r1={logs['r2']}", says=("robot 'r1' is given twice",))
 

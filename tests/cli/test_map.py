@@ -109,6 +109,10 @@ def test_a_map_is_not_overwritten_unless_asked(logs: dict[str, Path], tmp_path: 
     assert again.code == 2
     assert "--overwrite" in again.err
     assert (tmp_path / "out/map.db").read_bytes() == before
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(logs["r2"].read_bytes()[:50_000])
+    assert terrafuse("map", f"r1={cut}", "--out", tmp_path / "out", "--overwrite").code == 2
+    assert (tmp_path / "out/map.db").read_bytes() == before
     assert terrafuse(*arguments, "--overwrite").code == 0
 
 

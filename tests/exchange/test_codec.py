@@ -151,12 +151,19 @@ def golden_header(**changes: object) -> dict[str, object]:
 
 
 FRAMES = dict(parts(GOLDEN))["frames, zstd, one a tile"]
+FIRST = golden_header()["tiles"][0][-1]  # bytes of the first frame
 
 
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"tiles": [[0, 0, 0, 2**40, len(FRAMES)]]}, "can't hold"),
+        ({"tiles": [[0, 0, 0, 17, len(FRAMES)]]}, "can't hold"),
+        ({"tiles": [[0, 0, 0, 2**40, len(FRAMES)]]}, "more than"),
+        ({"tiles": [[2**62, 0, 0, 1, FIRST], [2**62 + 1, 0, 0, 2, len(FRAMES) - FIRST]]}, "not on the lattice"),
+        ({"tiles": [[-1, 0, 3, 1, FIRST], [0, 0, 3, 2, len(FRAMES) - FIRST]]}, "not on the lattice"),
+        ({"tiles": [[0, 0, 0, 1, FIRST], [0, 0, 0, 2, len(FRAMES) - FIRST]]}, "tiles that do not rise"),
+        ({"resolution_m": 1e-300, "tile_m": 1e300}, "impossible lattice"),
+        ({"robot": "a\nb"}, "printable"),
         ({"tiles": [[0, 0, 0, 0, len(FRAMES)]]}, "can't hold"),
         ({"tiles": [[0, 0, 0, -1, len(FRAMES)]]}, "can't hold"),
         ({"tiles": [[0, 0, 0, 2, 10**9]]}, "do not fill"),
@@ -206,3 +213,10 @@ def test_an_empty_delta_travels() -> None:
     (delta,) = deltas_of("r1", random_scans(1, 1), LATTICE, MODEL)
     empty = Delta(delta.map, "r1", 1, 1, delta.stamp_ns, ())
     assert_equal(decode(encode(empty), CELL), empty)
+
+
+def test_bytes_after_a_frame_are_rejected() -> None:
+    frame = pack_cells(np.array([1], np.int32), np.ones(1, CELL))
+    unpack_cells(frame, 1, CELL, 4)
+    with pytest.raises(CodecError):
+        unpack_cells(frame + b"more", 1, CELL, 4)

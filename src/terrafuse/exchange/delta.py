@@ -3,10 +3,17 @@ order is harmless: of two states of a cell, the one with the newer revision coun
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
+from itertools import pairwise
 
-from terrafuse.lattice import Lattice
+import numpy as np
+
+from terrafuse.errors import DeltaError
+from terrafuse.lattice import MAX_CELL, Lattice
 from terrafuse.types import Array, Stamp, TileKey
+
+MAX_NAME = 200
 
 
 @dataclass(frozen=True)
@@ -49,14 +56,41 @@ class Delta:
 
     @property
     def identity(self) -> tuple[str, int, int, str]:
-        """Equal for a delta and its duplicate: a robot's cells at a revision are what they are."""
-        return (
-            self.robot,
-            self.since,
-            self.revision,
-            " ".join("{},{},{}".format(*tile.key) for tile in self.tiles),
-        )
+        """Equal for a delta and its duplicate, and for nothing else."""
+        content = hashlib.blake2b(digest_size=16)
+        for tile in self.tiles:
+            content.update(np.array([*tile.key, len(tile.at)], "<i8").tobytes())
+            content.update(tile.at.tobytes())
+            content.update(tile.cells.tobytes())
+        return self.robot, self.since, self.revision, content.hexdigest()
 
     @property
     def cell_count(self) -> int:
         return sum(len(tile.at) for tile in self.tiles)
+
+
+def check_content(delta: Delta) -> None:
+    """Raise DeltaError for what no mapper makes: a message may say anything, and one bad cell would stay for good."""
+    if not 0 < len(delta.robot) <= MAX_NAME or not delta.robot.isprintable():
+        raise DeltaError(f"robot {delta.robot!r}: a name has 1 to {MAX_NAME} printable characters")
+    if not 0 <= delta.since <= delta.revision < 2**32 or not 0 <= delta.stamp_ns < 2**63:
+        raise DeltaError(f"impossible revisions {delta.since} to {delta.revision} or stamp {delta.stamp_ns}")
+    if any(one.key >= following.key for one, following in pairwise(delta.tiles)):
+        raise DeltaError("tiles that do not rise")
+    side = delta.map.lattice.tile_cells
+    for tile in delta.tiles:
+        _check_tile(tile, side, delta.revision)
+
+
+def _check_tile(tile: TileCells, side: int, revision: int) -> None:
+    where = f"tile {tuple(tile.key)}"
+    if max(abs(tile.key.x), abs(tile.key.y)) * side > MAX_CELL or tile.key.level != 0:
+        raise DeltaError(f"{where} is not on the lattice (levels other than 0 are not exchanged yet)")
+    if len(tile.at) != len(tile.cells) or not len(tile.at):
+        raise DeltaError(f"{where} has {len(tile.at)} positions for {len(tile.cells)} cells")
+    if tile.at[0] < 0 or tile.at[-1] >= side * side or (np.diff(tile.at) <= 0).any():
+        raise DeltaError(f"{where} has positions that do not rise within it")
+    if (tile.cells["revision"] > revision).any() or (tile.cells["revision"] < 1).any():
+        raise DeltaError(f"{where} has cells of revisions outside 1 to {revision}: newer than the delta, or none")
+    if (tile.cells["stamp"] < 0).any():
+        raise DeltaError(f"{where} has cells from before 1970")

@@ -63,10 +63,10 @@ class McapRecorder:
         try:
             if kind is None:
                 self._finish()
+                self._file.close()
+                os.replace(self._part, self.path)
         finally:
             self._file.close()
-            if kind is None and self._part.exists():
-                os.replace(self._part, self.path)
             self._part.unlink(missing_ok=True)
 
     def scan(self, stamp_ns: Stamp, points: Array) -> None:

@@ -129,7 +129,10 @@ class Elevation:
         )
 
     def dynamic(self, cells: Array) -> Floats:
-        """Posterior mean (changes + 1)/(merges + 2) of the chance that a merge finds a change."""
+        """Posterior mean (changes + 1)/(merges + 2) of the chance that a look finds a change.
+
+        `merges` counts every scan that touched the cell, the first one too.
+        """
         return np.where(self.known(cells), (cells["changes"] + 1.0) / (cells["merges"] + 2.0), np.nan)
 
     def traversability(self, cells: Array, lattice: Lattice) -> Floats:

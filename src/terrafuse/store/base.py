@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from terrafuse.errors import DeltaError
-from terrafuse.exchange.delta import Delta, MapId, TileCells
+from terrafuse.exchange.delta import Delta, MapId, TileCells, check_content
 from terrafuse.models.base import Model
 from terrafuse.types import Array, Pose, Stamp, TileKey
 
@@ -51,6 +51,9 @@ class Store(Protocol):
         Raises DeltaError for one of another map. Order does not matter.
         """
 
+    def version(self) -> Hashable:
+        """Changes with every delta that is accepted."""
+
     def robots(self) -> list[str]:
         """Names, sorted."""
 
@@ -77,12 +80,10 @@ def check_delta(delta: Delta, map_: MapId, model: Model) -> None:
     """Raise DeltaError unless the delta belongs to this map."""
     if delta.map != map_:
         raise DeltaError(f"a delta of {delta.map} does not belong to the map {map_}")
-    side = map_.lattice.tile_cells
+    check_content(delta)
     for tile in delta.tiles:
         if model.cell != tile.cells.dtype:
             raise DeltaError(f"cells of another kind than the model '{model.name}' has")
-        if len(tile.at) and not (0 <= tile.at.min() and tile.at.max() < side * side):
-            raise DeltaError(f"a cell outside tile {tuple(tile.key)}")
 
 
 def newest(dense: Array, at: Array, cells: Array) -> None:

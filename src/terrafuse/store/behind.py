@@ -43,8 +43,7 @@ class WriteBehind:
 
     def load(self, robot: str, key: TileKey) -> TileCells | None:
         self._raise_fault()
-        with self._lock:
-            waiting = [t for d in self._waiting if d.robot == robot for t in d.tiles if t.key == key]
+        waiting = [tile for delta in self._waiting_of(robot) for tile in delta.tiles if tile.key == key]
         held = self._store.load(robot, key)
         if not waiting:
             return held
@@ -54,10 +53,19 @@ class WriteBehind:
         return TileCells(key, *sparse(dense))
 
     def revision(self, robot: str) -> int:
-        return self._store.revision(robot)
+        waiting = [delta.revision for delta in self._waiting_of(robot)]
+        return max(self._store.revision(robot), *waiting, 0)
 
     def revisions(self, robot: str) -> dict[TileKey, int]:
-        return self._store.revisions(robot)
+        waiting = self._waiting_of(robot)
+        out = self._store.revisions(robot)
+        for tile in (tile for delta in waiting for tile in delta.tiles):
+            out[tile.key] = max(out.get(tile.key, 0), int(tile.cells["revision"].max()))
+        return out
+
+    def _waiting_of(self, robot: str) -> list[Delta]:
+        with self._lock:
+            return [delta for delta in self._waiting if delta.robot == robot]
 
     def close(self) -> None:
         self._queue.put(None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 
 import numpy as np
 
@@ -21,7 +21,7 @@ class MemoryStore:
         self._map = map_id(model.name, lattice)
         self._model = model
         self._tiles: dict[str, dict[TileKey, Array]] = {}
-        self._paths: dict[str, list[PathPoint]] = {}
+        self._paths: dict[str, dict[int, PathPoint]] = {}
         self._history: dict[tuple[str, int, int, str], HistoryEntry] = {}
 
     @property
@@ -42,7 +42,8 @@ class MemoryStore:
             if tile.key not in tiles:
                 tiles[tile.key] = np.zeros(side * side, self._model.cell)
             newest(tiles[tile.key], tile.at, tile.cells)
-        self._paths.setdefault(delta.robot, []).extend(path)
+        for point in path:
+            self._paths.setdefault(delta.robot, {}).setdefault(point.stamp_ns, point)
         self._history[delta.identity] = HistoryEntry(
             len(self._history) + 1,
             delta.robot,
@@ -54,6 +55,9 @@ class MemoryStore:
             sum(tile.cells.nbytes for tile in delta.tiles),
         )
         return True
+
+    def version(self) -> Hashable:
+        return len(self._history)
 
     def robots(self) -> list[str]:
         return sorted(self._tiles)
@@ -72,7 +76,7 @@ class MemoryStore:
         return None if dense is None else TileCells(key, *sparse(dense))
 
     def poses(self, robot: str) -> list[PathPoint]:
-        return sorted(self._paths.get(robot, []), key=lambda point: point.stamp_ns)
+        return [point for _, point in sorted(self._paths.get(robot, {}).items())]
 
     def history(self) -> list[HistoryEntry]:
         return list(self._history.values())

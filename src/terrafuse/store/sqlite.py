@@ -8,11 +8,12 @@ often it changes. A crash leaves whole deltas and nothing else.
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
 import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Hashable, Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -64,24 +65,22 @@ class SqliteStore:
         self._lock = threading.RLock()
 
     @classmethod
-    def create(cls, path: Path, lattice: Lattice, model: Model) -> SqliteStore:
-        """A new, empty store; raises StoreError if the file exists, OutputError if it can't be written."""
+    def create(cls, path: Path, lattice: Lattice, model: Model, notes: Mapping[str, Any] | None = None) -> SqliteStore:
+        """A new, empty store; raises StoreError if the file exists, OutputError if it can't be written.
+
+        It is made under another name and gets its own when it is whole: a crash leaves no store that is none.
+        """
         if path.exists():
             raise StoreError(f"{path}: exists already; open it, or choose another name")
-        with _faults(path):
-            connection = _connect(path)
-            connection.executescript(f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA journal_mode = WAL;")
-            map_ = map_id(model.name, lattice)
-            with connection:
-                connection.execute("BEGIN IMMEDIATE")
-                for statement in filter(str.strip, TABLES.split(";")):
-                    connection.execute(statement)
-                connection.executemany(
-                    "INSERT INTO meta VALUES (?, ?)",
-                    [("map", json.dumps(asdict(map_))), ("model", json.dumps(model.settings()))],
-                )
-                connection.execute(f"PRAGMA user_version = {SCHEMA}")
-        return cls(path, connection, map_, model)
+        fresh = path.with_name(f".{path.name}.new")
+        remove_store(fresh)
+        try:
+            with _faults(path), closing(_connect(fresh)) as connection:
+                _lay_out(connection, map_id(model.name, lattice), model, notes or {})
+            os.replace(fresh, path)
+        finally:
+            remove_store(fresh)
+        return cls.open(path)
 
     @classmethod
     def open(cls, path: Path) -> SqliteStore:
@@ -91,6 +90,7 @@ class SqliteStore:
         with _faults(path):
             connection = _connect(path)
             _check_schema(path, connection)
+            _quicken(connection)
             meta = dict(connection.execute("SELECT name, value FROM meta"))
         map_ = MapId(**json.loads(meta["map"]))
         return cls(path, connection, map_, make_model(map_.model, json.loads(meta["model"])))
@@ -196,6 +196,12 @@ class SqliteStore:
     def robots(self) -> list[str]:
         return [name for (name,) in self._read("SELECT DISTINCT robot FROM deltas ORDER BY robot")]
 
+    def version(self) -> Hashable:
+        """Changes with every delta that is accepted, here or by another program."""
+        with self._lock, _faults(self.file):
+            (others,) = self._connection.execute("PRAGMA data_version").fetchone()
+            return others, self._connection.total_changes
+
     def keys(self) -> list[TileKey]:
         return sorted(TileKey(*row) for row in self._read("SELECT DISTINCT x, y, level FROM contributions"))
 
@@ -247,6 +253,29 @@ def _connect(path: Path) -> sqlite3.Connection:
     # FULL: what was acknowledged survives a power cut too, not only a killed process.
     connection.executescript("PRAGMA synchronous = FULL; PRAGMA cache_size = -32768;")
     return connection
+
+
+def _lay_out(connection: sqlite3.Connection, map_: MapId, model: Model, notes: Mapping[str, Any]) -> None:
+    values = {"map": asdict(map_), "model": model.settings()} | {f"note:{name}": note for name, note in notes.items()}
+    with connection:
+        connection.execute("BEGIN IMMEDIATE")
+        for statement in filter(str.strip, TABLES.split(";")):
+            connection.execute(statement)
+        connection.executemany("INSERT INTO meta VALUES (?, ?)", [(k, json.dumps(v)) for k, v in values.items()])
+        connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+        connection.execute(f"PRAGMA user_version = {SCHEMA}")
+
+
+def _quicken(connection: sqlite3.Connection) -> None:
+    """Write ahead, so that readers never wait; not where the file can only be read, or has other readers."""
+    with suppress(sqlite3.OperationalError):
+        connection.execute("PRAGMA journal_mode = WAL")
+
+
+def remove_store(path: Path) -> None:
+    """Delete a store's file and what SQLite keeps beside it."""
+    for suffix in ("", "-wal", "-shm", "-journal"):
+        Path(f"{path}{suffix}").unlink(missing_ok=True)
 
 
 def _check_schema(path: Path, connection: sqlite3.Connection) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from terrafuse.models import make_model
 from terrafuse.replica import Replica
 from terrafuse.store.base import PathPoint, Store
 from terrafuse.testing.deltas import deltas_of, random_scans
-from terrafuse.types import Pose
+from terrafuse.types import Pose, TileKey
 
 LATTICE = Lattice(0.5, 4.0)
 MODEL = make_model("elevation")
@@ -72,9 +73,46 @@ class StoreTests:
         assert store.keys() == []
         assert store.history() == []
 
+    def test_parts_of_one_delta_are_different_deltas(self, store: Store) -> None:
+        (delta,) = deltas_of("r1", random_scans(8, 1), LATTICE, MODEL)
+        for tile in delta.tiles:
+            for some in (slice(0, 1), slice(1, None)):
+                part = replace(tile, at=tile.at[some], cells=tile.cells[some])
+                if len(part.at):
+                    assert store.accept(replace(delta, tiles=(part,)))
+        whole = Replica(LATTICE, MODEL)
+        whole.apply(delta)
+        assert Replica(store=store).digest() == whole.digest()
+
+    def test_a_replica_follows_its_store(self, store: Store) -> None:
+        first, second = deltas_of("r1", random_scans(8, 2), LATTICE, MODEL)
+        replica = Replica(store=store)
+        store.accept(first)
+        before = replica.digest()
+        store.accept(second)
+        assert replica.digest() == Replica(store=store).digest() != before
+
+    def test_refuses_what_no_mapper_makes(self, store: Store) -> None:
+        (delta,) = deltas_of("r1", random_scans(9, 1), LATTICE, MODEL)
+        tile = delta.tiles[0]
+        for bad in (
+            replace(tile, key=TileKey(2**62, 0)),
+            replace(tile, key=TileKey(0, 0, 3)),
+            replace(tile, at=tile.at[::-1]),
+            replace(tile, at=tile.at[:0], cells=tile.cells[:0]),
+        ):
+            with pytest.raises(DeltaError):
+                store.accept(replace(delta, tiles=(bad,)))
+        with pytest.raises(DeltaError, match="do not rise"):
+            store.accept(replace(delta, tiles=(tile, tile)))
+        assert store.keys() == []
+
     def test_keeps_poses_in_stamp_order(self, store: Store) -> None:
         first, second = deltas_of("r1", random_scans(6, 2), LATTICE, MODEL)
         store.accept(second, [PathPoint(7, Pose.identity().shifted(1, 2, 3))])
         store.accept(first, [PathPoint(3, Pose.identity())])
+        (third,) = deltas_of("r1", random_scans(7, 1), LATTICE, MODEL)
+        store.accept(third, [PathPoint(3, Pose.identity().shifted(9, 9))])  # a stamp that is there already
         assert [point.stamp_ns for point in store.poses("r1")] == [3, 7]
+        np.testing.assert_array_equal(store.poses("r1")[0].T_world_sensor.position, [0, 0, 0])
         np.testing.assert_array_equal(store.poses("r1")[1].T_world_sensor.position, [1, 2, 3])

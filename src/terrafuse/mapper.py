@@ -16,7 +16,7 @@ from terrafuse.models import make_model
 from terrafuse.models.base import Model, Patch
 from terrafuse.store.base import PathPoint
 from terrafuse.tile import Tile
-from terrafuse.types import Scan, TileKey, checked_pose
+from terrafuse.types import Pose, Scan, TileKey, checked_pose
 from terrafuse.window import KeepAll, Window
 
 
@@ -125,6 +125,10 @@ class Mapper:
         return Integrated(self._revision, patch.points, patch.dropped, len(patch.at), len(patch.keys))
 
     def _check(self, scan: Scan) -> None:
+        if not isinstance(scan.T_world_sensor, Pose):
+            raise InputError("a scan's T_world_sensor is a Pose; make one of a matrix with checked_pose(matrix)")
+        if not isinstance(scan.stamp_ns, int | np.integer):
+            raise InputError(f"stamp {scan.stamp_ns!r}: give whole nanoseconds since 1970")
         if not 0 <= scan.stamp_ns < 2**63:
             raise InputError(f"stamp {scan.stamp_ns}: give nanoseconds since 1970 that fit 63 bits")
         checked_pose(scan.T_world_sensor.matrix, f"pose of robot '{self.robot}' at stamp {scan.stamp_ns}")

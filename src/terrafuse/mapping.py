@@ -48,6 +48,8 @@ class RobotReport:
     """Of these, taken over from a run that was cut short."""
     skipped: Counter[str] = field(default_factory=Counter)
     points: int = 0
+    resumed_points: int = 0
+    """Of these, in scans that were taken over; `dropped` and the seconds do not count those."""
     dropped: Counter[str] = field(default_factory=Counter)
     seconds: dict[str, float] = field(default_factory=dict)
     wall_seconds: float = 0.0
@@ -55,7 +57,8 @@ class RobotReport:
     loads: int = 0
     evictions: int = 0
     most_tile_bytes: int = 0
-    cells: int = 0
+    touched_cells: int = 0
+    """Cells that each scan touched, added up over the scans."""
 
 
 @dataclass(frozen=True)
@@ -189,10 +192,12 @@ def _integrate_all(
             report.distance_m += float(np.linalg.norm(here - position)) if position is not None else 0.0
             position = here
             report.scans += 1
-            if report.scans > report.resumed_scans:
+            report.points += len(scan.points)
+            if report.scans <= report.resumed_scans:
+                report.resumed_points += len(scan.points)
+            else:
                 done = mapper.integrate(scan)
-                report.points += done.points
-                report.cells += done.cells
+                report.touched_cells += done.cells
                 report.dropped.update(done.dropped)
                 if done.revision % run.settings.commit_scans == 0:
                     t0 = time.perf_counter()
@@ -224,7 +229,7 @@ def _placed(scan: Scan, log: Log, settings: MapSettings) -> Scan:
 
 def _check_something_seen(run: Plan, reports: Mapping[str, RobotReport]) -> None:
     for name, report in reports.items():
-        if report.cells == 0 and report.resumed_scans == 0:
+        if report.touched_cells == 0 and report.resumed_scans == 0:
             why = ", ".join(f"{n} {reason}" for reason, n in (report.skipped + report.dropped).most_common())
             raise InputError(
                 f"{name}: {report.log} puts nothing on the map: {report.scans} scans placed, "

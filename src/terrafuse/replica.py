@@ -19,6 +19,7 @@ from terrafuse.models import make_model
 from terrafuse.models.base import Model, fold
 from terrafuse.store.base import Store
 from terrafuse.store.memory import MemoryStore
+from terrafuse.tile import opaque
 from terrafuse.types import Array, Bounds, TileKey
 
 if TYPE_CHECKING:
@@ -87,12 +88,17 @@ class Replica:
         side = self.lattice.tile_cells
         held = [part for name in self.robots if (part := self.store.load(name, key)) is not None]
         fused = np.zeros(side * side, self.model.cell)
-        if held:
-            somewhere = np.unique(np.concatenate([part.at for part in held]))
+        if len(held) == 1:
+            opaque(fused)[held[0].at] = opaque(held[0].cells)
+        elif held:
+            seen = np.zeros(side * side, bool)
+            for part in held:
+                seen[part.at] = True
+            somewhere = np.flatnonzero(seen)
             stack = [np.zeros(len(somewhere), self.model.cell) for _ in held]
             for cells, part in zip(stack, held, strict=True):
-                cells[np.searchsorted(somewhere, part.at)] = part.cells
-            fused[somewhere] = fold(self.model, stack, self.lattice)
+                opaque(cells)[np.searchsorted(somewhere, part.at)] = opaque(part.cells)
+            opaque(fused)[somewhere] = opaque(fold(self.model, stack, self.lattice))
         fused.flags.writeable = False
         return fused.reshape(side, side)
 

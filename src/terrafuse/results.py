@@ -50,6 +50,8 @@ def run(
         raise OutputError(
             f"{out / STORE}: there is a map already; choose another --out, or replace it with --overwrite"
         )
+    for leftover in out.glob(".*.partial*"):
+        leftover.unlink()  # of a run that was killed while it wrote
     partial = out / PARTIAL_STORE
     store = open_partial(partial, plan, overwrite)
     try:
@@ -123,7 +125,7 @@ def report_of(
     plan: Plan, store: SqliteStore, replica: Replica, robots: Mapping[str, RobotReport], seconds: dict[str, float]
 ) -> dict[str, Any]:
     """The report as plain JSON."""
-    points = sum(robot.points for robot in robots.values())
+    points = sum(robot.points - robot.resumed_points for robot in robots.values())
     return {
         "terrafuse": __version__,
         **map_facts(replica),
@@ -145,7 +147,7 @@ def _robot(robot: RobotReport, name: str, store: SqliteStore) -> dict[str, Any]:
         "skipped": dict(robot.skipped),
         "dropped": dict(robot.dropped),
         "scans_per_second": fresh / robot.wall_seconds,
-        "points_per_second": robot.points / robot.wall_seconds,
+        "points_per_second": (robot.points - robot.resumed_points) / robot.wall_seconds,
         "deltas": sum(entry.robot == name for entry in store.history()),
     }
 

@@ -18,6 +18,11 @@ def aligned_zeros(count: int, dtype: np.dtype[Any]) -> Array:
     return raw[start : start + count * dtype.itemsize].view(dtype)
 
 
+def opaque(records: Array) -> Array:
+    """The same records as mere bytes: NumPy copies those at once, records field by field and 8 times as slow."""
+    return records.view(np.dtype((np.void, records.dtype.itemsize)))
+
+
 class Tile(Protocol):
     """One tile of one robot's own map, in whatever layout its model likes; it speaks in the model's cell records.
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import resource
+import signal
 import sqlite3
+import subprocess
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.program import Ran, record, terrafuse
+from tests.program import PROGRAM, Ran, record, terrafuse
 
 FINAL_NAMES = {"map.db", "map.tif", "map.png", "report.html", "report.json"}
 
@@ -202,7 +205,9 @@ def test_a_store_of_a_newer_schema(mapped: Path, tmp_path: Path) -> None:
     ("arguments", "says"),
     [
         (["--layer", "hieght"], "no layer 'hieght'; it has: height"),
-        (["--bounds", "1,2,3"], "give 4 numbers"),
+        (["--bounds", "1,2,3"], "give 4 finite numbers"),
+        (["--bounds=-inf,-inf,inf,inf"], "give 4 finite numbers"),
+        (["--bounds", "5000,5000,5010,5010"], "nothing of the map lies within"),
         (["--bounds", "3,2,1,4"], "the bounds are empty"),
         (["--only", "r9"], "no robot 'r9'"),
     ],
@@ -225,6 +230,65 @@ def test_errors_as_json(tmp_path: Path) -> None:
     assert ran.code == 2
     assert ran.json["exit_code"] == 2
     assert "nope.db: no such store" in ran.json["error"]
+
+
+@pytest.mark.parametrize(
+    "arguments", [["map"], ["info"], ["map", "r1=x", "--out", "o", "--resolution", "abc"], ["nope"]]
+)
+def test_wrong_options_as_json(arguments: list[str]) -> None:
+    ran = terrafuse(*arguments, "--json")
+    assert ran.code == 2
+    assert ran.json["exit_code"] == 2
+    assert ran.json["error"]
+
+
+def test_a_store_is_not_exported_onto_itself(mapped: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "map.db"
+    copy.write_bytes((mapped / "map.db").read_bytes())
+    ran = terrafuse("export", copy, "--out", copy, "--format", "npz")
+    assert ran.code == 2
+    assert "the store itself" in ran.err
+    assert copy.read_bytes() == (mapped / "map.db").read_bytes()
+
+
+def test_damaged_stores(mapped: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "map.db"
+    copy.write_bytes((mapped / "map.db").read_bytes()[:20_000])
+    ran = terrafuse("info", copy)
+    assert ran.code == 2
+    assert "map.db: damaged" in ran.err
+    copy.write_bytes((mapped / "map.db").read_bytes())
+    with sqlite3.connect(copy) as connection:
+        connection.execute("UPDATE meta SET value = '{' WHERE name = 'map'")
+    ran = terrafuse("info", copy)
+    assert ran.code == 2
+    assert "map.db: damaged" in ran.err
+
+
+def test_outliers_name_their_remedy(out: Path, tmp_path: Path) -> None:
+    points = np.random.default_rng(0).normal(0, 5, (1000, 3))
+    points[:2] = [[2e6, 0, 0], [0, 3e6, 0]]
+    np.save(tmp_path / "far.npy", points)
+    source = f"r1={tmp_path / 'far.npy'}?poses=identity"
+    refused(out, source, says=("--max-range",))
+    ran = terrafuse("map", source, "--max-range", "1000", "--out", out, "--overwrite", "--json")
+    assert ran.code == 0, ran.err
+    assert ran.json["robots"]["r1"]["dropped"] == {"beyond max_range_m": 2}
+
+
+def test_interrupting_says_that_the_work_is_kept(out: Path, tmp_path: Path) -> None:
+    log = record(tmp_path / "long.mcap", 1, 400, points=4000)
+    process = subprocess.Popen(
+        [*PROGRAM, "map", f"r1={log}", "--out", str(out)], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    while not (out / "map.partial.db").exists():
+        time.sleep(0.01)
+    time.sleep(0.2)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert "the same command goes on from there" in said
+    assert not FINAL_NAMES & {p.name for p in out.iterdir()}
 
 
 def test_wrong_options_are_wrong_use() -> None:

@@ -165,7 +165,7 @@ def test_a_disk_that_fills_up_while_gdal_copies(
 
 
 def test_a_map_with_a_stray_scan_is_refused_in_time(local_map: Replica, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="too large; give the bounds"):
+    with pytest.raises(InputError, match="too large; use coarser cells"):
         write_cog(local_map, tmp_path / "map.tif", bounds=Bounds(0, 0, 1e5, 1e5))
 
 

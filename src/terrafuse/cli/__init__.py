@@ -6,14 +6,14 @@ Heavy rooms are imported inside the commands, so that `--help` answers at once.
 from __future__ import annotations
 
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from terrafuse import __version__
 from terrafuse.cli import commands
 from terrafuse.cli.output import fail
-from terrafuse.errors import TerrafuseError
+from terrafuse.errors import InputError, TerrafuseError
 
 app = typer.Typer(
     name="terrafuse",
@@ -27,6 +27,9 @@ app.command("demo")(commands.demo)
 app.command("map")(commands.map_)
 app.command("info")(commands.info)
 app.command("export")(commands.export)
+
+
+INTERRUPTED = 130
 
 
 def _version(wanted: bool) -> None:
@@ -46,10 +49,25 @@ def _root(
 
 def main() -> None:
     """Entry point. Exit code 0 done, 1 failed, 2 wrong use or bad input, 130 interrupted."""
+    as_json = "--json" in sys.argv
     try:
-        app()
+        code = app(standalone_mode=False) or 0
     except TerrafuseError as error:
-        sys.exit(fail(error, as_json="--json" in sys.argv))
-    except KeyboardInterrupt:
+        code = fail(error, as_json)
+    except (KeyboardInterrupt, typer.Abort):
+        code = INTERRUPTED
+    except Exception as error:
+        if not hasattr(error, "format_message"):
+            raise
+        code = _wrong_use(error, as_json)
+    if code == INTERRUPTED:
         print("interrupted; what was committed is kept, and the same command goes on from there", file=sys.stderr)
-        sys.exit(130)
+    sys.exit(code)
+
+
+def _wrong_use(error: Any, as_json: bool) -> int:
+    """The parser's complaint about an option; returns the exit code."""
+    if as_json:
+        return fail(InputError(error.format_message() or "wrong use; see --help"), as_json)
+    error.show()
+    return int(error.exit_code)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -37,8 +38,8 @@ def numbers(text: str | None, names: str) -> tuple[float, ...] | None:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
         values = ()
-    if len(values) != count:
-        raise InputError(f"'{text}': give {count} numbers, {names}")
+    if len(values) != count or not all(map(math.isfinite, values)):
+        raise InputError(f"'{text}': give {count} finite numbers, {names}")
     return values
 
 

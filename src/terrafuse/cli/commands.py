@@ -13,6 +13,8 @@ from terrafuse.cli.output import bytes_text, log_progress, say, say_json
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout instead of text.")]
 Out = Annotated[Path, typer.Option("--out", help="Folder for the results.")]
 StoreFile = Annotated[Path, typer.Argument(metavar="STORE", help="A store: the map.db of a mapping run.")]
+SPARSE = 1.5
+"""Points a cell, in the mean, below which a map is more gap than surface."""
 LOG_HELP = (
     "A robot's name and its log: a ROS 1/2 bag or MCAP file, a KITTI folder, a folder of clouds with a TUM trajectory, "
     "LAS/LAZ, a CARMEN log, an Argoverse 2 log. Options follow the path: r1=drive.mcap?topic=/lidar"
@@ -32,6 +34,9 @@ def map_(
         str | None, typer.Option(metavar="E,N", help="Where the origin of logs in a local frame lies, in the CRS.")
     ] = None,
     window: Annotated[str, typer.Option(help="Tiles that a robot keeps in memory: tiles3x3 or all.")] = "tiles3x3",
+    max_range: Annotated[
+        float | None, typer.Option(help="Drop points further than this from the sensor, metres.  [default: keep all]")
+    ] = None,
     static: Annotated[
         bool, typer.Option("--static", help="Plain statistics: nothing moves, no ghosts to remove.")
     ] = False,
@@ -48,7 +53,7 @@ def map_(
     named = arguments.robots(logs)
     settings = config.map_settings(
         model=model,
-        model_settings={"static": True} if static else {},
+        model_settings=({"static": True} if static else {}) | ({} if max_range is None else {"max_range_m": max_range}),
         resolution_m=resolution,
         tile_m=tile,
         crs=crs,
@@ -66,8 +71,8 @@ def map_(
 
 def _tell_map(report: dict[str, Any], out: Path) -> None:
     for name, robot in report["robots"].items():
-        lost = sum(robot["skipped"].values())
-        note = f", {lost} not placed" if lost else ""
+        lost = [f"{n} not placed ({reason})" for reason, n in robot["skipped"].items()]
+        note = "".join(f", {text}" for text in lost)
         say(
             f"{name}: {robot['scans']} scans{note}, {robot['points'] / 1e6:.2f} M points, "
             f"{robot['distance_m']:.0f} m, deltas {bytes_text(report['delta_bytes_per_robot'][name])}"
@@ -76,6 +81,9 @@ def _tell_map(report: dict[str, Any], out: Path) -> None:
         f"map: {report['cells']:,} cells of {report['map']['resolution_m']:g} m in {report['tiles']} tiles, "
         f"{report['points_per_second'] / 1e6:.1f} M points/s"
     )
+    n = report["layers"].get("n", {}).get("mean")
+    if n is not None and n < SPARSE:
+        say(f"hint: {n:.1f} points a cell leave gaps; a coarser --resolution gives a fuller map")
     say("wrote " + ", ".join(str(out / file) for file in report["files"].values()))
 
 
@@ -131,11 +139,14 @@ def export(
     json: Json = False,
 ) -> None:
     """Write a map, or a part or some layers of it, for other tools."""
+    from terrafuse.errors import InputError
     from terrafuse.export import export_map
     from terrafuse.replica import Replica, check_robots
     from terrafuse.store.sqlite import SqliteStore
 
     part = arguments.bounds(bounds)
+    if out.exists() and store.exists() and out.samefile(store):
+        raise InputError(f"{out}: that is the store itself; choose another --out")
     with SqliteStore.open(store) as opened:
         check_robots(opened, [*(only or []), *(without or [])])
         replica = Replica(store=opened, only=only, without=without or ())

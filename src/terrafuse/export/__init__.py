@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from terrafuse import views
 from terrafuse.errors import InputError
 from terrafuse.export.cog import write_cog
 from terrafuse.export.npz import write_npz
@@ -53,8 +54,18 @@ def export_map(
     name = format or format_of(path)
     if name not in EXPORTERS:
         raise InputError(f"no format '{name}'; there are: {known_formats()}")
+    if bounds is not None:
+        _check_bounds(replica, bounds)
     EXPORTERS[name].write(replica, path, layers, bounds)
     return name
+
+
+def _check_bounds(replica: Replica, bounds: Bounds) -> None:
+    """Raise InputError where no tile of the map meets the bounds: an empty file would look like an empty map."""
+    if not views.keys_in(replica, replica.lattice.cell_window(bounds)):
+        window = views.known_window(replica)
+        whole = tuple(views.bounds_of(replica, window)) if window else "empty"
+        raise InputError(f"nothing of the map lies within {tuple(bounds)}; the map is {whole}")
 
 
 def format_of(path: Path) -> str:

@@ -32,8 +32,8 @@ from terrafuse.types import Array, Bounds
 BLOCK = 512
 CACHE_BYTES = 256 * 2**20
 DAY_S = 86_400
-MAX_CELLS = 2**34
-"""A larger raster takes hours; most often, a scan was placed far away by mistake."""
+MAX_CELLS = 3 * 10**8
+"""A larger raster takes hours and gigabytes; most often cells are too fine for the log, or points lie far off."""
 
 COG = {
     "driver": "COG",
@@ -67,7 +67,10 @@ def write_cog(
     window = views.window_of(replica, bounds)
     height, width = views.shape_of(window)
     if height * width > MAX_CELLS:
-        raise InputError(f"a raster of {width}×{height} cells is too large; give the bounds of the part that matters")
+        raise InputError(
+            f"a raster of {width}×{height} cells is too large; use coarser cells (--resolution), "
+            "drop stray points (--max-range), or export a part (--bounds)"
+        )
     report = progress or (lambda _: None)
     with final(path) as temporary, rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES):
         tiles = temporary.with_suffix(".tiles")

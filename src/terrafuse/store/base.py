@@ -11,6 +11,7 @@ import numpy as np
 from terrafuse.errors import DeltaError
 from terrafuse.exchange.delta import Delta, MapId, TileCells, check_content
 from terrafuse.models.base import Model
+from terrafuse.tile import opaque
 from terrafuse.types import Array, Pose, Stamp, TileKey
 
 
@@ -89,10 +90,10 @@ def check_delta(delta: Delta, map_: MapId, model: Model) -> None:
 def newest(dense: Array, at: Array, cells: Array) -> None:
     """Put cells (K,) into a dense tile (T²,) where their revision is newer than what is there."""
     newer = cells["revision"] > dense["revision"][at]
-    dense[at[newer]] = cells[newer]
+    opaque(dense)[at[newer]] = opaque(np.ascontiguousarray(cells))[newer]
 
 
 def sparse(dense: Array) -> tuple[Array, Array]:
     """(positions, cells) that a dense tile holds."""
     at = np.flatnonzero(dense["revision"]).astype(np.int32)
-    return at, dense[at]
+    return at, opaque(dense)[at].view(dense.dtype)

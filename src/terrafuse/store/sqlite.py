@@ -92,8 +92,14 @@ class SqliteStore:
             _check_schema(path, connection)
             _quicken(connection)
             meta = dict(connection.execute("SELECT name, value FROM meta"))
-        map_ = MapId(**json.loads(meta["map"]))
-        return cls(path, connection, map_, make_model(map_.model, json.loads(meta["model"])))
+        try:
+            map_ = MapId(**json.loads(meta["map"]))
+            model = make_model(map_.model, json.loads(meta["model"]))
+        except (KeyError, TypeError, ValueError) as error:
+            raise StoreMismatch(
+                f"{path}: damaged (its description can't be read); restore a copy, or map again"
+            ) from error
+        return cls(path, connection, map_, model)
 
     @property
     def map(self) -> MapId:
@@ -317,4 +323,6 @@ def _faults(path: Path) -> Iterator[None]:
             raise StoreError(f"{path}: another program has it open; close that, and run again to finish") from error
         if "not a database" in text:
             raise StoreMismatch(f"{path}: not a terrafuse store") from error
+        if "malformed" in text or "no such table" in text:
+            raise StoreMismatch(f"{path}: damaged ({text}); restore a copy, or map the logs again") from error
         raise StoreError(f"{path}: {text}") from error

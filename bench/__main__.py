@@ -22,7 +22,7 @@ from terrafuse.lattice import Lattice
 from terrafuse.mapper import Mapper
 from terrafuse.types import Scan
 
-ROUNDS = 3
+ROUNDS = 5
 LATTICE = Lattice(0.1)
 
 
@@ -37,7 +37,7 @@ def best(work: Callable[[], object], rounds: int = ROUNDS) -> float:
 
 
 def map_all(scans: list[Scan], robot: str = "r1") -> Mapper:
-    """The real thing: patch, states, ground, changed cells; a delta's worth of changes kept."""
+    """The real thing: patch, states, ground, list of changed cells. Asking for a delta is timed apart, in `stages`."""
     mapper = Mapper(robot, LATTICE)
     for scan in scans:
         mapper.integrate(scan)

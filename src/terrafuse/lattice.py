@@ -85,7 +85,7 @@ class Lattice:
         return (np.asarray(index, np.float64) + 0.5) * self.resolution_m
 
     def tile_at(self, east_m: float, north_m: float, level: int = 0) -> TileKey:
-        i, j = int(self.cell(east_m)), int(self.cell(north_m))
+        i, j = math.floor(east_m * self.cells_per_m), math.floor(north_m * self.cells_per_m)
         return TileKey(i // self.tile_cells, j // self.tile_cells, level)
 
     def tile_bounds(self, key: TileKey) -> Bounds:

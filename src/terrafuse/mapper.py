@@ -16,7 +16,7 @@ from terrafuse.models import make_model
 from terrafuse.models.base import Model, Patch
 from terrafuse.store.base import PathPoint
 from terrafuse.tile import Tile
-from terrafuse.types import Pose, Scan, TileKey, checked_pose
+from terrafuse.types import Pose, Scan, TileKey, checked_pose, is_rigid
 from terrafuse.window import KeepAll, Window
 
 
@@ -131,16 +131,20 @@ class Mapper:
             raise InputError(f"stamp {scan.stamp_ns!r}: give whole nanoseconds since 1970")
         if not 0 <= scan.stamp_ns < 2**63:
             raise InputError(f"stamp {scan.stamp_ns}: give nanoseconds since 1970 that fit 63 bits")
-        checked_pose(scan.T_world_sensor.matrix, f"pose of robot '{self.robot}' at stamp {scan.stamp_ns}")
-        if np.abs(scan.T_world_sensor.position[:2]).max() * self.lattice.cells_per_m > MAX_CELL:
-            raise InputError(f"position {scan.T_world_sensor.position.tolist()} lies beyond the lattice")
+        if not is_rigid(scan.T_world_sensor.matrix):
+            checked_pose(scan.T_world_sensor.matrix, f"pose of robot '{self.robot}' at stamp {scan.stamp_ns}")
+        position = scan.T_world_sensor.position.tolist()
+        if not all(abs(value) * self.lattice.cells_per_m <= MAX_CELL for value in position):
+            raise InputError(f"position {position} lies beyond the lattice")
 
     def _whereabouts(self, scan: Scan, patch: Patch) -> tuple[float, float]:
         """Where the window should be: the sensor's place, or the middle of what it saw if that is elsewhere.
 
         A cloud that came in world coordinates has its "sensor" at the world's origin.
         """
-        east_m, north_m = (float(v) for v in scan.T_world_sensor.position[:2])
+        east_m, north_m, _ = scan.T_world_sensor.position.tolist()
+        if self.lattice.tile_at(east_m, north_m) in patch.keys:
+            return east_m, north_m
         seen = union(list(patch.keys), self.lattice)
         if seen is None or (seen.west <= east_m <= seen.east and seen.south <= north_m <= seen.north):
             return east_m, north_m

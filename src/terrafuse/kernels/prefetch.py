@@ -8,7 +8,7 @@ from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
-DISTANCE = 24
+DISTANCE = 32
 """How many points ahead to fetch: far enough to hide memory, near enough not to be evicted again. Measured."""
 
 

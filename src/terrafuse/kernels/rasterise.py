@@ -32,11 +32,12 @@ DROP_REASONS = ("not finite", "nearer than min_range_m", "beyond max_range_m", "
 class Patchwork(NamedTuple):
     """The scratch of one robot's rasteriser, kept between scans: fresh memory costs more than the work.
 
-    `grid` and `records` are empty between scans; `at` and `grouped` hold the last patch.
+    `records` are empty between scans; `at` and `grouped` hold the last patch.
     """
 
     grid: Array
-    """(NOWHERE + 1,) int32: slot of each cell of the window, -1 where not hit."""
+    """(NOWHERE + 1,) int32: `first_slot` + slot of each cell of the window; what is less is of an older scan, so that
+    nothing need be cleared."""
     places: Array
     """(capacity,) int32: the grid index of each slot."""
     records: Array
@@ -146,8 +147,10 @@ def account(x, y, z, m, T, near2, far2, first, places, dropped, later):
 
 
 @njit(cache=True, nogil=True)
-def rasterise(points, T, cells_per_m, i0, j0, near2, far2, grid, places, records, dropped, later):
+def rasterise(points, T, cells_per_m, i0, j0, near2, far2, grid, first_slot, places, records, dropped, later):
     """Rasterise (N, 3) points into the patchwork's window, whose first cell is (i0, j0). Returns the slots used.
+
+    `grid` holds nothing that is `first_slot` or more.
 
     T: 4×4 float64 T_world_sensor; near2, far2: squared range gate in m². `dropped` (5,) int64 is added to; `later` (N,)
     int64 receives the indices of points beyond the window, dropped[LATER] of them. `records` must be empty and hold
@@ -172,10 +175,10 @@ def rasterise(points, T, cells_per_m, i0, j0, near2, far2, grid, places, records
             prefetch(grid, where[k + DISTANCE])
             place = where[k]
             # No branch on "first hit of this cell": a third of a lidar's points are, at random.
-            slot = grid[place]
+            slot = grid[place] - first_slot
             new = slot < 0
             slot = count if new else slot
-            grid[place] = slot
+            grid[place] = slot + first_slot
             places[slot] = place
             count += new
             hit(records[np.uint64(slot)], heights[k])
@@ -183,7 +186,7 @@ def rasterise(points, T, cells_per_m, i0, j0, near2, far2, grid, places, records
 
 
 @njit(cache=True, nogil=True)
-def group(grid, places, records, count, i0, j0, tile_cells, keys, starts, tile_of, at, grouped):
+def group(places, records, count, i0, j0, tile_cells, keys, starts, tile_of, at, grouped):
     """Move a patchwork's records out, sorted by tile, in their order within one; the patchwork is empty again.
 
     Writes the T tiles hit to keys (T, 2) as (x, y), the T + 1 offsets to starts, and for each record its flat position
@@ -196,7 +199,6 @@ def group(grid, places, records, count, i0, j0, tile_cells, keys, starts, tile_o
     tiles = 0
     for k in range(count):
         place = places[k]
-        grid[place] = -1
         if place == NOWHERE:
             tile_of[k] = -1
             continue

@@ -212,6 +212,7 @@ class ElevationObserver:
         self._lattice = lattice
         self._near2, self._far2 = min_range_m**2, max_range_m**2
         self._scratch = rasterise.new_patchwork(1 << 14)
+        self._first_slot = 0
         across = rasterise.WINDOW // lattice.tile_cells + 2
         self._keys = np.empty((across * across, 2), np.int64)
         self._starts = np.empty(across * across + 1, np.int64)
@@ -246,13 +247,14 @@ class ElevationObserver:
             self._near2,
             self._far2,
             work.grid,
+            self._first_slot,
             work.places,
             work.records,
             dropped,
             work.later,
         )
+        self._first_slot += count
         tiles = rasterise.group(
-            work.grid,
             work.places,
             work.records,
             count,
@@ -274,6 +276,9 @@ class ElevationObserver:
         """The scratch, with room for `capacity` points."""
         if self._scratch.capacity < capacity:
             self._scratch = rasterise.new_patchwork(1 << (capacity - 1).bit_length(), self._scratch.grid)
+        if self._first_slot + capacity >= 2**31:
+            self._scratch.grid.fill(-1)
+            self._first_slot = 0
         return self._scratch
 
 

@@ -8,7 +8,6 @@ one CRS at one resolution counts the same cells, so tiles meet without negotiati
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -106,14 +105,6 @@ class Lattice:
         if max(-i0, -j0, i1, j1) > MAX_CELL:
             raise LatticeError(f"bounds {tuple(bounds)} reach beyond the lattice of {self.resolution_m} m cells")
         return i0, j0, i1, j1
-
-    def keys_in(self, bounds: Bounds, level: int = 0) -> Iterator[TileKey]:
-        """Keys of the tiles that overlap the bounds, south to north, west to east."""
-        i0, j0, i1, j1 = self.cell_window(bounds)
-        n = self.tile_cells
-        for y in range(j0 // n, (j1 - 1) // n + 1):
-            for x in range(i0 // n, (i1 - 1) // n + 1):
-                yield TileKey(x, y, level)
 
     def coarser(self, factor: int) -> Lattice:
         """The lattice whose cells are `factor`×`factor` of these, in the same tiles."""

@@ -234,12 +234,8 @@ class SqliteStore:
         )
         return [HistoryEntry(*row) for row in rows]
 
-    def note(self, name: str, value: Any) -> None:
-        """Keep a JSON value under a name."""
-        with self._transaction() as connection:
-            connection.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (f"note:{name}", json.dumps(value)))
-
     def notes(self) -> Mapping[str, Any]:
+        """What `create` was given to remember, by name."""
         rows = self._read("SELECT name, value FROM meta WHERE name LIKE 'note:%' ORDER BY name")
         return {name.removeprefix("note:"): json.loads(value) for name, value in rows}
 

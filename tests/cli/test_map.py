@@ -53,7 +53,9 @@ def test_the_raster_opens_in_gis_tools(mapped: Path) -> None:
 
 def test_info_shows_the_same_map(mapped: Path) -> None:
     report = json.loads((mapped / "report.json").read_text())
+    before = (mapped / "map.db").read_bytes()
     info = terrafuse("info", mapped / "map.db", "--json").json
+    assert (mapped / "map.db").read_bytes() == before  # looking changes nothing
     assert info["map"]["digest"] == report["map"]["digest"]
     assert info["cells"] == report["cells"]
     assert info["robots"]["r2"]["poses"] == 40

@@ -13,7 +13,7 @@ import sqlite3
 import threading
 import time
 from collections.abc import Hashable, Iterable, Iterator, Mapping
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -80,7 +80,9 @@ class SqliteStore:
             os.replace(fresh, path)
         finally:
             remove_store(fresh)
-        return cls.open(path)
+        store = cls.open(path)
+        _write_ahead(store._connection)
+        return store
 
     @classmethod
     def open(cls, path: Path) -> SqliteStore:
@@ -90,7 +92,6 @@ class SqliteStore:
         with _faults(path):
             connection = _connect(path)
             _check_schema(path, connection)
-            _quicken(connection)
             meta = dict(connection.execute("SELECT name, value FROM meta"))
         try:
             map_ = MapId(**json.loads(meta["map"]))
@@ -268,10 +269,10 @@ def _lay_out(connection: sqlite3.Connection, map_: MapId, model: Model, notes: M
         connection.execute(f"PRAGMA user_version = {SCHEMA}")
 
 
-def _quicken(connection: sqlite3.Connection) -> None:
-    """Write ahead, so that readers never wait; not where the file can only be read, or has other readers."""
-    with suppress(sqlite3.OperationalError):
-        connection.execute("PRAGMA journal_mode = WAL")
+def _write_ahead(connection: sqlite3.Connection) -> None:
+    """So that readers never wait. Only for a store that grows: the mode is kept in the file, and reading a finished
+    store must not change it."""
+    connection.execute("PRAGMA journal_mode = WAL")
 
 
 def remove_store(path: Path) -> None:

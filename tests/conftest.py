@@ -6,8 +6,13 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from tests.program import record, terrafuse
+
+# The first example compiles a kernel: how long one takes says nothing.
+settings.register_profile("terrafuse", deadline=None)
+settings.load_profile("terrafuse")
 
 
 @pytest.fixture(scope="session")

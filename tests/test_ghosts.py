@@ -24,7 +24,7 @@ from terrafuse.demo.scene import Lidar, Scene, covered, scan, truth
 from terrafuse.kernels import absorb, evidence
 from terrafuse.lattice import Lattice
 from terrafuse.mapper import Mapper
-from terrafuse.models import fold, make_model
+from terrafuse.models import Reading, fold, make_model
 from terrafuse.replica import Replica
 from terrafuse.store.behind import WriteBehind
 from terrafuse.store.sqlite import SqliteStore
@@ -377,7 +377,7 @@ CELLS = st.lists(st.tuples(heights(), heights(least=0), heights()), min_size=1, 
 
 
 @given(cells=CELLS, static=st.booleans())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_the_merge_kernel_equals_the_table(cells: list[tuple[list[int], ...]], static: bool) -> None:
     rules = STATIC if static else RULES
     own, below, patch = (np.array([record_of_ticks(cell[part]) for cell in cells]) for part in range(3))
@@ -391,7 +391,7 @@ def test_the_merge_kernel_equals_the_table(cells: list[tuple[list[int], ...]], s
 
 
 @given(cells=CELLS)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_a_ghost_does_not_outlive_a_look_at_the_ground(cells: list[tuple[list[int], ...]]) -> None:
     """Whatever a cell was, a flat patch leaves it within the tolerance of what was just seen."""
     own, below, patch = (np.array([record_of_ticks(cell[part]) for cell in cells]) for part in range(3))
@@ -429,7 +429,7 @@ def contributions(draw: st.DrawFn, stamps_differ: bool) -> list[Array]:
 
 
 @given(cells=contributions(stamps_differ=True), random=st.randoms(use_true_random=False))
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_the_fold_does_not_hang_on_the_order_of_its_input(cells: list[Array], random: Any) -> None:
     """Stamps decide. Where they are equal robots' names do, in whose order `fold` is given them."""
     model = make_model("elevation")
@@ -439,7 +439,7 @@ def test_the_fold_does_not_hang_on_the_order_of_its_input(cells: list[Array], ra
 
 
 @given(cells=contributions(stamps_differ=False))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_robot_that_saw_nothing_is_neutral_in_the_fold(cells: list[Array]) -> None:
     model = make_model("elevation")
     nothing = np.zeros_like(cells[0])
@@ -457,7 +457,7 @@ def test_robots_that_saw_a_car_before_and_after_one_another() -> None:
 
     def fused(*cells: Array) -> float:
         model = make_model("elevation")
-        return float(model.layers["height"].compute(fold(model, cells, ONE_TILE), ONE_TILE)[0])
+        return float(model.layers["height"].compute(fold(model, cells, ONE_TILE), Reading(ONE_TILE, 0))[0])
 
     assert fused(seen(GROUND_AT_0, 1), seen(WALL, 2)) == pytest.approx(1.4)
     assert fused(seen(GROUND_AT_0, 3), seen(WALL, 2)) == pytest.approx(0.01)

@@ -111,7 +111,7 @@ def test_deltas_reach_back_to_tiles_that_left() -> None:
 
 
 @given(cuts=st.lists(st.integers(0, 12), max_size=6), seed=st.integers(0, 1000))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_delta_since_holds_exactly_what_changed(cuts: list[int], seed: int) -> None:
     """Whatever was asked before, delta(since) has the cells whose revision is newer, as they are now."""
     lattice = Lattice(0.5, 4.0)

@@ -36,13 +36,13 @@ EXPECTED = digest_of(DELTAS)
 
 
 @given(st.permutations(DELTAS), st.lists(st.integers(0, len(DELTAS) - 1), max_size=12))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_any_order_and_repetition_gives_the_same_bytes(order: list[Delta], again: list[int]) -> None:
     assert digest_of(order + [DELTAS[k] for k in again]) == EXPECTED
 
 
 @given(st.permutations(DELTAS), st.integers(0, len(DELTAS)))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_reading_in_between_changes_nothing(order: list[Delta], when: int) -> None:
     replica = Replica(LATTICE, MODEL)
     for k, delta in enumerate(order):

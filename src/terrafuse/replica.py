@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from terrafuse.errors import InputError
-from terrafuse.exchange.delta import Delta
+from terrafuse.exchange.delta import Delta, TileCells
 from terrafuse.lattice import Lattice
 from terrafuse.models import make_model
-from terrafuse.models.base import Model, fold
+from terrafuse.models.base import Model, Reading, fold
 from terrafuse.store.base import Store
 from terrafuse.store.memory import MemoryStore
 from terrafuse.tile import opaque
@@ -31,7 +31,8 @@ CACHED_TILES = 16
 class Replica:
     """The fold of a store's contributions; in memory unless a `store` is given.
 
-    `only` and `without` leave robots out of the map.
+    `only` and `without` leave robots out of the map. With a `factor`, it is the global map at a coarser level: each
+    robot's contribution is coarsened by it, as the robot itself would report it, and these are folded.
     """
 
     def __init__(
@@ -42,14 +43,16 @@ class Replica:
         store: Store | None = None,
         only: Collection[str] | None = None,
         without: Collection[str] = (),
+        factor: int = 1,
     ) -> None:
         if store is None:
             if lattice is None:
                 raise ValueError("give a lattice, or a store that has one")
             store = MemoryStore(lattice, model or make_model("elevation"))
         self.store: Store = store
-        self.lattice = store.map.lattice
+        self.lattice = store.map.lattice.coarser(factor)
         self.model = store.model
+        self._factor = factor
         self._only, self._without = only, frozenset(without)
         self._cache: dict[TileKey, Array] = {}
         self._version = store.version()
@@ -66,6 +69,11 @@ class Replica:
         """The robots whose contributions make this map, sorted."""
         chosen = [name for name in self.store.robots() if self._only is None or name in self._only]
         return [name for name in chosen if name not in self._without]
+
+    @property
+    def reading(self) -> Reading:
+        """What layers are read with: this lattice, and the newest stamp that any robot of the map reported."""
+        return Reading(self.lattice, max(map(self.store.stamp, self.robots), default=0))
 
     @property
     def keys(self) -> list[TileKey]:
@@ -86,7 +94,7 @@ class Replica:
 
     def _fold(self, key: TileKey) -> Array:
         side = self.lattice.tile_cells
-        held = [part for name in self.robots if (part := self.store.load(name, key)) is not None]
+        held = [part for name in self.robots if (part := self._load(name, key)) is not None]
         fused = np.zeros(side * side, self.model.cell)
         if len(held) == 1:
             opaque(fused)[held[0].at] = opaque(held[0].cells)
@@ -101,6 +109,18 @@ class Replica:
             opaque(fused)[somewhere] = opaque(fold(self.model, stack, self.lattice))
         fused.flags.writeable = False
         return fused.reshape(side, side)
+
+    def _load(self, robot: str, key: TileKey) -> TileCells | None:
+        """The robot's contribution to a tile, at this replica's level."""
+        part = self.store.load(robot, key)
+        if part is None or self._factor == 1:
+            return part
+        side = self.store.map.lattice.tile_cells
+        fine = np.zeros(side * side, self.model.cell)
+        opaque(fine)[part.at] = opaque(part.cells)
+        coarse = self.model.coarsen(fine.reshape(side, side), self._factor).reshape(-1)
+        at = np.flatnonzero(self.model.known(coarse)).astype(np.int32)
+        return TileCells(key, at, opaque(coarse)[at].view(self.model.cell))
 
     def layer(self, name: str, bounds: Bounds | tuple[float, float, float, float] | None = None) -> xarray.DataArray:
         """A layer of the global map within (west, south, east, north) metres, or all of it, as an xarray.DataArray.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
@@ -47,3 +48,33 @@ class Tile(Protocol):
     @property
     def nbytes(self) -> int:
         """Bytes allocated."""
+
+
+Take = Callable[[Array, Array, Array, int, int], None]
+"""`take(cells, at, patch, stamp_ns, revision)`: a model's merge of a patch (K,) into cells (T²,), in place. It sets the
+stamp and the revision of the cells that it changes."""
+
+
+class RecordTile:
+    """A tile as one array of the model's cell records: what a model needs that has no layout of its own."""
+
+    def __init__(self, side: int, cell: np.dtype[Any], take: Take) -> None:
+        self.revision = 0
+        self._cells = aligned_zeros(side * side, cell)
+        self._take = take
+
+    def merge(self, at: Array, patch: Array, stamp_ns: int, revision: int) -> None:
+        self._take(self._cells, at, patch, stamp_ns, revision)
+        self.revision = revision
+
+    def changed(self, since: int) -> tuple[Array, Array]:
+        at = np.flatnonzero(self._cells["revision"] > since).astype(np.int32)
+        return at, opaque(self._cells)[at].view(self._cells.dtype)
+
+    def put(self, at: Array, cells: Array) -> None:
+        opaque(self._cells)[at] = opaque(np.ascontiguousarray(cells))
+        self.revision = max(self.revision, int(cells["revision"].max(initial=0)))
+
+    @property
+    def nbytes(self) -> int:
+        return int(self._cells.nbytes)

@@ -142,17 +142,41 @@ def _dot(a: Any, b: Any) -> float:
     return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
+@dataclass(frozen=True)
+class Beam:
+    """How wide a sensor's beams are and how well they measure. A lidar's is `RAY`, a sonar's is a cone."""
+
+    half_angle_rad: float = 0.0
+    """Of the cone around the axis; 0 is a ray."""
+    range_error_m: float = 0.0
+    """The echo lies within ± this of the reading."""
+    min_range_m: float = 0.0
+    max_range_m: float = float("inf")
+    reliability: float = 1.0
+    """How far its readings are believed, 0 to 1."""
+
+
+RAY = Beam()
+
+
 @dataclass(frozen=True, eq=False)
 class Scan:
     """What one sensor saw at one instant.
 
     `points`: (N, 3) float32 or float64, metres, in the sensor's frame; NaN and infinite rows mean "no return".
     `T_world_sensor` takes them to the world. A scan that is already in the world's frame has the identity.
+
+    Models that ask what lies on the way of a beam also use: `misses` (M, 3), up to where beams went that met nothing;
+    `origins` (N + M, 3), where the beams of the points, then of the misses start, None for the sensor frame's origin;
+    and the shape of the `beam`, of which a point or miss is the axis's end.
     """
 
     stamp_ns: Stamp
     points: Array
     T_world_sensor: Pose
+    misses: Array | None = None
+    origins: Array | None = None
+    beam: Beam = RAY
 
 
 @dataclass(frozen=True)

@@ -137,7 +137,7 @@ def _alone(replica: Replica, cells: Array, at: Array, layers: Sequence[Layer]) -
         some = slice(first, first + BLOCK**2)
         part = opaque(cells)[at[some]].view(cells.dtype).reshape(1, -1)
         for layer in layers:
-            out[layer.name][some] = layer.compute(part, replica.lattice)[0]
+            out[layer.name][some] = layer.compute(part, replica.reading)[0]
     return out
 
 
@@ -152,7 +152,7 @@ def _among(replica: Replica, key: TileKey, known: Array, layer: Layer, keys: Col
                 i0, j0, i1, j1 = window
                 left, low = key.x * side - halo, key.y * side - halo
                 around = (left + i0, low + j0, left + i1 + 2 * halo, low + j1 + 2 * halo)
-                values = layer.compute(cells_in(replica, around, keys), replica.lattice)
+                values = layer.compute(cells_in(replica, around, keys), replica.reading)
                 out[j0:j1, i0:i1] = values[halo:-halo, halo:-halo]
     return out.reshape(-1)
 

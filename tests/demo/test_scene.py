@@ -86,7 +86,7 @@ def free(scene: Scene, at: Floats) -> Floats:
 
 
 @given(ground=grounds(), x=st.floats(-40, 40), y=st.floats(-40, 40))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_the_gradient_is_the_height_s_derivative(ground: Ground, x: float, y: float) -> None:
     step = 1e-4
     east, north = ground.gradient(x, y)
@@ -95,7 +95,7 @@ def test_the_gradient_is_the_height_s_derivative(ground: Ground, x: float, y: fl
 
 
 @given(ground=grounds(), x=st.floats(-40, 40), y=st.floats(-40, 40), angle=st.floats(0, 6.28))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_no_curvature_is_over_the_bound(ground: Ground, x: float, y: float, angle: float) -> None:
     step = 1e-2
     dx, dy = step * math.cos(angle), step * math.sin(angle)
@@ -104,7 +104,7 @@ def test_no_curvature_is_over_the_bound(ground: Ground, x: float, y: float, angl
 
 
 @given(ground=grounds(), heading=st.floats(0, 6.28))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_rays_end_on_the_ground_where_a_plain_search_finds_it(ground: Ground, heading: float) -> None:
     """Steps of 2 cm along each ray, then halving: a crest that this misses, too, is a hair's breadth."""
     T_world_sensor = sensor(ground, heading)
@@ -154,7 +154,7 @@ def test_a_hill_hides_what_is_behind_it() -> None:
 
 
 @given(scene=scenes(), heading=st.floats(0, 6.28))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_points_lie_on_a_surface_and_nothing_is_in_front_of_them(scene: Scene, heading: float) -> None:
     T_world_sensor = sensor(scene.ground, heading)
     points = scan(scene, EXACT, T_world_sensor, 0.0, np.random.default_rng(0))
@@ -169,7 +169,7 @@ def test_points_lie_on_a_surface_and_nothing_is_in_front_of_them(scene: Scene, h
 
 
 @given(scene=scenes())
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_rays_without_a_return_meet_nothing(scene: Scene) -> None:
     T_world_sensor = sensor(scene.ground)
     points = scan(scene, EXACT, T_world_sensor, 0.0, np.random.default_rng(0))
@@ -281,7 +281,7 @@ def test_a_pit_is_seen_while_it_is_open() -> None:
 
 
 @given(scene=scenes())
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_the_truth_is_the_ground_and_the_tops(scene: Scene) -> None:
     z = truth(scene, LATTICE, WINDOW)
     x = LATTICE.cell_centre(np.arange(-40, 40))

@@ -94,7 +94,7 @@ def _content(frames: bytes) -> bytes:
 
 
 @given(seed=st.integers(0, 2**32), scans=st.integers(1, 6), static=st.booleans())
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_round_trip(seed: int, scans: int, static: bool) -> None:
     for delta in deltas_of("robot ä", random_scans(seed, scans), LATTICE, make_model("elevation", {"static": static})):
         message = encode(delta)
@@ -103,7 +103,7 @@ def test_round_trip(seed: int, scans: int, static: bool) -> None:
 
 
 @given(st.data())
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_any_record_survives(data: st.DataObject) -> None:
     count = data.draw(st.integers(1, 64))
     raw = data.draw(st.binary(min_size=count * CELL.itemsize, max_size=count * CELL.itemsize))
@@ -115,7 +115,7 @@ def test_any_record_survives(data: st.DataObject) -> None:
 
 
 @given(st.data())
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_a_flipped_byte_is_rejected(data: st.DataObject) -> None:
     message = bytearray(GOLDEN)
     place = data.draw(st.integers(0, len(message) - 1))
@@ -125,14 +125,13 @@ def test_a_flipped_byte_is_rejected(data: st.DataObject) -> None:
 
 
 @given(st.integers(0, len(GOLDEN) - 1))
-@settings(deadline=None)
 def test_a_cut_message_is_rejected(length: int) -> None:
     with pytest.raises(CodecError):
         decode(GOLDEN[:length], CELL)
 
 
 @given(st.binary(max_size=400))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_noise_is_rejected(noise: bytes) -> None:
     with pytest.raises(CodecError):
         decode(noise, CELL)

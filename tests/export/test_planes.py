@@ -20,7 +20,7 @@ def assert_same(z: Array, cells: int) -> None:
         np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-9 * size**power, err_msg=name)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.integers(1, 14),
     st.integers(1, 14),
@@ -37,7 +37,7 @@ def test_any_heights(height: int, width: int, cells: int, known: float, up: floa
     assert_same(z, cells)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(st.integers(0, 8), st.integers(0, 8), st.integers(-5, 5)), max_size=12))
 def test_few_and_collinear_cells(cells: list[tuple[int, int, int]]) -> None:
     z = np.full((9, 9), np.nan)

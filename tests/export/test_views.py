@@ -76,7 +76,7 @@ def test_the_known_window_looks_past_empty_outer_tiles() -> None:
     assert views.known_window(replica) == (-90, -90, 43, 51)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(1, 50), st.integers(-30, 40), st.integers(-30, 40), st.integers(1, 60), st.integers(1, 60))
 def test_reduced_is_the_mean_of_the_known(
     local_map: Replica, factor: int, i0: int, j0: int, width: int, height: int

@@ -51,7 +51,7 @@ def random_pose(rng: np.random.Generator, reach_m: float) -> Pose:
     resolution_m=st.sampled_from([0.1, 0.5, 4.0]),
     dtype=st.sampled_from([np.float32, np.float64]),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_equals_the_reference(seed: int, count: int, spread_m: float, resolution_m: float, dtype: type) -> None:
     """Also where a scan is wider than the index grid, and where points are NaN, infinite, too near or too far."""
     rng = np.random.default_rng(seed)

@@ -40,7 +40,7 @@ def test_what_is_recorded_is_read_back(tmp_path: Path) -> None:
             assert np.allclose(scan.T_world_sensor.matrix, expected.matrix, atol=1e-9)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(positions, quaternions, quaternions, st.integers(0, 2**31 * NS - 1))
 def test_any_pose_survives(
     tmp_path_factory: pytest.TempPathFactory,

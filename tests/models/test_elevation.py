@@ -133,7 +133,7 @@ def records(seed: int, count: int = 40) -> Array:
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_unknown_is_neutral_to_fuse(seed: int) -> None:
     model, cells = make_model("elevation"), records(seed)
     nothing = np.zeros_like(cells)
@@ -142,7 +142,7 @@ def test_unknown_is_neutral_to_fuse(seed: int) -> None:
 
 
 @given(seeds=st.lists(st.integers(0, 10_000), min_size=2, max_size=5, unique=True))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_static_fusing_is_commutative_and_associative(seeds: list[int]) -> None:
     model = make_model("elevation", {"static": True})
     cells = [records(seed) for seed in seeds]
@@ -159,7 +159,7 @@ def test_static_fusing_is_commutative_and_associative(seeds: list[int]) -> None:
 
 
 @given(seeds=st.lists(st.integers(0, 10_000), min_size=2, max_size=5, unique=True))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_the_fold_takes_robots_by_stamp_then_name(seeds: list[int]) -> None:
     """Cell by cell, it is `fuse` over the known cells in the order (stamp, robot)."""
     model = make_model("elevation")
@@ -174,7 +174,7 @@ def test_the_fold_takes_robots_by_stamp_then_name(seeds: list[int]) -> None:
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_coarsening_in_two_steps_is_coarsening_at_once(seed: int) -> None:
     model, cells = make_model("elevation"), records(seed).reshape(8, 8)
     np.testing.assert_array_equal(model.coarsen(model.coarsen(cells, 2), 2), model.coarsen(cells, 4))

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from terrafuse.errors import InputError
-from terrafuse.models.base import Layer, Model, Observer, Patch, fold
+from terrafuse.models.base import Layer, Model, Observer, Patch, Reading, fold, patch_of
 from terrafuse.models.elevation import Elevation
 
 MODELS: dict[str, Callable[..., Model]] = {"elevation": Elevation}
@@ -22,4 +22,4 @@ def make_model(name: str, settings: Mapping[str, Any] | None = None) -> Model:
         raise InputError(f"cell model '{name}' has no such setting: {error}") from error
 
 
-__all__ = ["MODELS", "Layer", "Model", "Observer", "Patch", "fold", "make_model"]
+__all__ = ["MODELS", "Layer", "Model", "Observer", "Patch", "Reading", "fold", "make_model", "patch_of"]

@@ -16,9 +16,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from terrafuse.kernels.grouping import by_tile
 from terrafuse.lattice import Lattice
-from terrafuse.tile import Tile
-from terrafuse.types import Array, Floats, Scan, TileKey
+from terrafuse.tile import Tile, opaque
+from terrafuse.types import Array, Floats, Scan, Stamp, TileKey
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +39,15 @@ class Patch:
     """Points that did not count, by reason."""
 
 
+def patch_of(
+    i: Array, j: Array, records: Array, lattice: Lattice, points: int, dropped: Mapping[str, int] | None = None
+) -> Patch:
+    """The patch of these records, one for each cell (i, j) of the lattice; cells are distinct, in any order."""
+    keys, starts, at, order = by_tile(i, j, lattice.tile_cells)
+    grouped = opaque(records)[order].view(records.dtype)
+    return Patch([TileKey(int(x), int(y)) for x, y in keys], starts, at, grouped, points, dropped or {})
+
+
 class Observer(Protocol):
     """Turns scans into patches; holds the scratch memory of one robot. Not for two threads at once."""
 
@@ -45,10 +55,22 @@ class Observer(Protocol):
 
 
 @dataclass(frozen=True)
+class Reading:
+    """What a layer is read with, beside the cells: their lattice, and the time.
+
+    `now_ns` is the stamp of the newest report in the map, so that the age of a cell, too, is a function of what robots
+    reported and not of the clock on the wall.
+    """
+
+    lattice: Lattice
+    now_ns: Stamp
+
+
+@dataclass(frozen=True)
 class Layer:
     """A named 2D array that people, planners and files see.
 
-    `compute(cells, lattice)` takes (H, W) cell records, [j, i], and gives a (H, W) float64 array, NaN where unknown.
+    `compute(cells, reading)` takes (H, W) cell records, [j, i], and gives a (H, W) float64 array, NaN where unknown.
     A layer that looks at neighbours states how many cells around it needs as `halo`; it gets them as unknown cells
     where there are none.
     """
@@ -56,7 +78,7 @@ class Layer:
     name: str
     unit: str
     description: str
-    compute: Callable[[Array, Lattice], Floats]
+    compute: Callable[[Array, Reading], Floats]
     halo: int = 0
 
 
@@ -77,6 +99,10 @@ class Model(Protocol):
     def picture_layer(self) -> str:
         """The layer that a picture of the map shows."""
 
+    @property
+    def occupied(self) -> Layer:
+        """How surely a cell is in a robot's way, 0 to 1: what becomes a ROS map. It need not be among the layers."""
+
     def settings(self) -> dict[str, Any]:
         """What makes two maps comparable: stored with a map, plain JSON."""
 
@@ -89,7 +115,7 @@ class Model(Protocol):
         """The next step of the fold: (M,) cells of robots so far, (M,) of the next robot → (M,)."""
 
     def coarsen(self, cells: Array, factor: int) -> Array:
-        """(H, W) cells → (H/k, W/k)."""
+        """(H, W) cells of one robot → (H/k, W/k)."""
 
     def known(self, cells: Array) -> Array:
         """Which cells somebody observed, as booleans of the same shape."""

@@ -15,7 +15,7 @@ from terrafuse.errors import InputError
 from terrafuse.kernels import absorb, evidence, rasterise
 from terrafuse.kernels.planes import fit_planes
 from terrafuse.lattice import Lattice
-from terrafuse.models.base import Layer, Patch
+from terrafuse.models.base import Layer, Patch, Reading
 from terrafuse.tile import aligned_zeros
 from terrafuse.types import Array, Floats, Scan, TileKey
 
@@ -118,14 +118,14 @@ class Elevation:
     def _metres(self, cells: Array, field: str) -> Floats:
         return self._count(cells, field) * evidence.TICK_M
 
-    def state(self, cells: Array, lattice: Lattice) -> Floats:
+    def state(self, cells: Array, reading: Reading) -> Floats:
         """1 flat, 2 vertical, NaN unknown."""
-        return np.where(self.known(cells), 1.0 + absorb.vertical(cells, self.rules(lattice)), np.nan)
+        return np.where(self.known(cells), 1.0 + absorb.vertical(cells, self.rules(reading.lattice)), np.nan)
 
-    def height(self, cells: Array, lattice: Lattice) -> Floats:
+    def height(self, cells: Array, reading: Reading) -> Floats:
         """z_mean, or z_max where vertical."""
         return np.where(
-            absorb.vertical(cells, self.rules(lattice)), self._metres(cells, "z_max"), evidence.mean_m(cells)
+            absorb.vertical(cells, self.rules(reading.lattice)), self._metres(cells, "z_max"), evidence.mean_m(cells)
         )
 
     def dynamic(self, cells: Array) -> Floats:
@@ -135,17 +135,27 @@ class Elevation:
         """
         return np.where(self.known(cells), (cells["changes"] + 1.0) / (cells["merges"] + 2.0), np.nan)
 
-    def traversability(self, cells: Array, lattice: Lattice) -> Floats:
+    def traversability(self, cells: Array, reading: Reading) -> Floats:
         """1 - roughness / impassable, from the plane fitted to the heights of k×k cells.
 
         Roughness is a² + b² + χ²: the plane's slopes, and the mean squared residual in units of a cell's side, so
         that the three add up at any resolution. NaN where over half of the k×k cells are unknown, or the known ones
         lie on one line.
         """
-        a, b, residual2, count = fit_planes(self.height(cells, lattice), self.traversability_cells)
-        roughness = (a * a + b * b + residual2) / lattice.resolution_m**2
+        a, b, residual2, count = fit_planes(self.height(cells, reading), self.traversability_cells)
+        roughness = (a * a + b * b + residual2) / reading.lattice.resolution_m**2
         enough = 2 * count >= self.traversability_cells**2
         return np.where(enough, np.clip(1.0 - roughness / self.impassable_roughness, 0.0, 1.0), np.nan)
+
+    @property
+    def occupied(self) -> Layer:
+        return Layer(
+            "obstacle",
+            "1",
+            "1 - traversability: 0 smooth and level to 1 impassable",
+            lambda cells, reading: 1.0 - self.traversability(cells, reading),
+            self.traversability_cells // 2,
+        )
 
 
 class ElevationTile:

@@ -64,6 +64,9 @@ class Store(Protocol):
     def revision(self, robot: str) -> int:
         """The newest revision of any delta of this robot; 0 if there is none."""
 
+    def stamp(self, robot: str) -> Stamp:
+        """The newest stamp of any delta of this robot; 0 if there is none."""
+
     def revisions(self, robot: str) -> dict[TileKey, int]:
         """The newest revision of each tile of this robot."""
 

@@ -11,7 +11,7 @@ from terrafuse.exchange.delta import Delta, MapId, TileCells, map_id
 from terrafuse.lattice import Lattice
 from terrafuse.models.base import Model
 from terrafuse.store.base import HistoryEntry, PathPoint, check_delta, newest, sparse
-from terrafuse.types import Array, TileKey
+from terrafuse.types import Array, Stamp, TileKey
 
 
 class MemoryStore:
@@ -67,6 +67,9 @@ class MemoryStore:
 
     def revision(self, robot: str) -> int:
         return max((entry.revision for entry in self._history.values() if entry.robot == robot), default=0)
+
+    def stamp(self, robot: str) -> Stamp:
+        return max((entry.stamp_ns for entry in self._history.values() if entry.robot == robot), default=0)
 
     def revisions(self, robot: str) -> dict[TileKey, int]:
         return {key: int(cells["revision"].max()) for key, cells in self._tiles.get(robot, {}).items()}

@@ -27,7 +27,7 @@ from terrafuse.lattice import Lattice
 from terrafuse.models import make_model
 from terrafuse.models.base import Model
 from terrafuse.store.base import HistoryEntry, PathPoint, check_delta, newest, sparse
-from terrafuse.types import Array, Pose, TileKey
+from terrafuse.types import Array, Pose, Stamp, TileKey
 
 SCHEMA = 1
 APPLICATION_ID = 0x54465553  # "TFUS"
@@ -215,6 +215,10 @@ class SqliteStore:
     def revision(self, robot: str) -> int:
         ((newest_revision,),) = self._read("SELECT coalesce(max(revision), 0) FROM deltas WHERE robot = ?", (robot,))
         return int(newest_revision)
+
+    def stamp(self, robot: str) -> Stamp:
+        ((newest_stamp,),) = self._read("SELECT coalesce(max(stamp_ns), 0) FROM deltas WHERE robot = ?", (robot,))
+        return int(newest_stamp)
 
     def revisions(self, robot: str) -> dict[TileKey, int]:
         rows = self._read("SELECT x, y, level, revision FROM contributions WHERE robot = ?", (robot,))

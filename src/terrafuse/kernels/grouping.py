@@ -1,0 +1,64 @@
+"""Cells of a lattice → cells of its tiles: the way from a flat list to a patch."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from terrafuse.types import Array
+
+
+@njit(cache=True, nogil=True)
+def _group(i, j, side, seats, keys, starts, tile_of, at, order):
+    """`seats` is an open hash table of tile numbers, a power of two long and all -1. Returns the number of tiles."""
+    mask = np.uint64(seats.shape[0] - 1)
+    tiles = 0
+    tile = -1
+    for k in range(i.shape[0]):
+        x, y = i[k] // side, j[k] // side
+        if tile < 0 or keys[tile, 0] != x or keys[tile, 1] != y:  # neighbours in a list mostly share a tile
+            seat = (np.uint64(x) * np.uint64(0x9E3779B97F4A7C15) ^ np.uint64(y) * np.uint64(0xC2B2AE3D27D4EB4F)) & mask
+            while seats[seat] >= 0 and (keys[seats[seat], 0] != x or keys[seats[seat], 1] != y):
+                seat = (seat + np.uint64(1)) & mask
+            if seats[seat] < 0:
+                seats[seat] = tiles
+                keys[tiles, 0] = x
+                keys[tiles, 1] = y
+                starts[tiles + 1] = 0
+                tiles += 1
+            tile = seats[seat]
+        tile_of[k] = tile
+        starts[tile + 1] += 1
+        at[k] = (j[k] - y * side) * side + (i[k] - x * side)
+    starts[0] = 0
+    for t in range(tiles):
+        starts[t + 1] += starts[t]
+    cursor = starts[:tiles].copy()
+    for k in range(i.shape[0]):
+        order[cursor[tile_of[k]]] = k
+        cursor[tile_of[k]] += 1
+    return tiles
+
+
+def by_tile(i: Array, j: Array, tile_cells: int) -> tuple[Array, Array, Array, Array]:
+    """Group cells (K,) int64 by tile: (keys (T, 2), starts (T + 1,), at (K,) int32, order (K,) int64).
+
+    Tiles come in the order in which they are met, cells within one in the order given. Cells order[starts[t]:starts[t +
+    1]] belong to tile keys[t] = (x, y), and lie there at the flat positions j·tile_cells + i of the same range of `at`.
+    """
+    count = len(i)
+    seats = np.full(1 << max(1, 2 * count).bit_length(), -1, np.int64)
+    keys, starts = np.empty((count, 2), np.int64), np.zeros(count + 1, np.int64)
+    tile_of, order = np.empty(count, np.int64), np.empty(count, np.int64)
+    at = np.empty(count, np.int32)
+    tiles = _group(i, j, tile_cells, seats, keys, starts, tile_of, at, order)
+    return keys[:tiles], starts[: tiles + 1], at[order], order
+
+
+def by_tile_reference(i: Array, j: Array, tile_cells: int) -> dict[tuple[int, int], list[tuple[int, int]]]:
+    """What `by_tile` must equal: for each tile, in the order of its first cell, [(position, index of the cell)]."""
+    out: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    for k, (a, b) in enumerate(zip(i.tolist(), j.tolist(), strict=True)):
+        x, y = a // tile_cells, b // tile_cells
+        out.setdefault((x, y), []).append(((b - y * tile_cells) * tile_cells + (a - x * tile_cells), k))
+    return out

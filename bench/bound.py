@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from bench.rivals import CELLS_PER_M, SIDE
-from terrafuse.kernels.prefetch import DISTANCE, prefetch
+from terrafuse.kernels.memory import DISTANCE, prefetch
 from terrafuse.types import Scan
 
 BLOCK = 2048

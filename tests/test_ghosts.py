@@ -323,9 +323,10 @@ def merged(own: Array, ground: Array, patch: Array, rules: absorb.Rules, stamp: 
     for name in evidence.EVIDENCE.names or ():
         surface[name] = own[name]
     changed = np.empty(k + 1, np.int32)
+    tile = np.array([(surface.ctypes.data, below.ctypes.data, changed.ctypes.data, 0, 0)], absorb.STATE)
     at = np.arange(k, dtype=np.int32)
-    count = absorb.merge(surface, below, at, patch, stamp, revision, 0, changed, 0, rules)
-    return SimpleNamespace(surface=surface, ground=below, changed=changed[:count])
+    absorb.merge(tile, np.zeros(k, np.int32), at, patch, stamp, revision, rules)
+    return SimpleNamespace(surface=surface, ground=below, changed=changed[: tile["count"][0]])
 
 
 def assert_evidence(actual: Array, expected: Array) -> None:

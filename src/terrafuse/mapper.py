@@ -13,7 +13,7 @@ from terrafuse.errors import InputError
 from terrafuse.exchange.delta import Delta, TileCells, map_id
 from terrafuse.lattice import MAX_CELL, Lattice, union
 from terrafuse.models import make_model
-from terrafuse.models.base import Model, Patch
+from terrafuse.models.base import AnyPatch, Model
 from terrafuse.store.base import PathPoint
 from terrafuse.tile import Tile
 from terrafuse.types import Pose, Scan, TileKey, checked_pose, is_rigid
@@ -114,7 +114,8 @@ class Mapper:
         t2 = perf_counter()
         self._revision += 1
         self._stamp_ns = max(self._stamp_ns, scan.stamp_ns)
-        self._merge(tiles, patch, scan.stamp_ns)
+        patch.merge_into(tiles, scan.stamp_ns, self._revision)
+        self._revisions.update(dict.fromkeys(patch.keys, self._revision))
         if self._archive is not None:
             self._path.append(PathPoint(scan.stamp_ns, scan.T_world_sensor))
         t3 = perf_counter()
@@ -122,7 +123,7 @@ class Mapper:
             self._evict(keep=set(patch.keys))
         for stage, seconds in zip(self.seconds, (t1 - t0, t2 - t1, t3 - t2, perf_counter() - t3), strict=True):
             self.seconds[stage] += seconds
-        return Integrated(self._revision, patch.points, patch.dropped, len(patch.at), len(patch.keys))
+        return Integrated(self._revision, patch.points, patch.dropped, patch.cells, len(patch.keys))
 
     def _check(self, scan: Scan) -> None:
         if not isinstance(scan.T_world_sensor, Pose):
@@ -137,7 +138,7 @@ class Mapper:
         if not all(abs(value) * self.lattice.cells_per_m <= MAX_CELL for value in position):
             raise InputError(f"position {position} lies beyond the lattice")
 
-    def _whereabouts(self, scan: Scan, patch: Patch) -> tuple[float, float]:
+    def _whereabouts(self, scan: Scan, patch: AnyPatch) -> tuple[float, float]:
         """Where the window should be: the sensor's place, or the middle of what it saw if that is elsewhere.
 
         A cloud that came in world coordinates has its "sensor" at the world's origin.
@@ -193,12 +194,6 @@ class Mapper:
             self.paging.most_resident = max(self.paging.most_resident, len(self._resident))
             self.paging.most_bytes = max(self.paging.most_bytes, self.resident_bytes)
         return tile
-
-    def _merge(self, tiles: list[Tile], patch: Patch, stamp_ns: int) -> None:
-        for t, (key, tile) in enumerate(zip(patch.keys, tiles, strict=True)):
-            part = slice(patch.starts[t], patch.starts[t + 1])
-            tile.merge(patch.at[part], patch.records[part], stamp_ns, self._revision)
-            self._revisions[key] = self._revision
 
     def _evict(self, keep: set[TileKey]) -> None:
         """Drop what left the window, except what this very scan touched: the next one will, too.

@@ -33,9 +33,6 @@ class Tile(Protocol):
     revision: int
     """Of the last scan that touched it."""
 
-    def merge(self, at: Array, patch: Array, stamp_ns: int, revision: int) -> None:
-        """Take in a patch's records at distinct positions. `revision` is no smaller than any before."""
-
     def changed(self, since: int) -> tuple[Array, Array]:
         """(positions rising, cells) of what changed after revision `since`.
 
@@ -64,6 +61,7 @@ class RecordTile:
         self._take = take
 
     def merge(self, at: Array, patch: Array, stamp_ns: int, revision: int) -> None:
+        """Take in a patch's records (K,) at distinct positions (K,)."""
         self._take(self._cells, at, patch, stamp_ns, revision)
         self.revision = revision
 

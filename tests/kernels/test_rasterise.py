@@ -11,24 +11,20 @@ from terrafuse.kernels.evidence import EVIDENCE, mean_m, variance_m2
 from terrafuse.kernels.rasterise import WINDOW, cell_at, place_of, rasterise_reference
 from terrafuse.lattice import Lattice
 from terrafuse.models import make_model
-from terrafuse.models.base import Patch
+from terrafuse.models.elevation import ElevationPatch
 from terrafuse.types import Array, Pose, Scan
 
 
-def flat(patch: Patch, lattice: Lattice) -> tuple[Array, Array]:
+def flat(patch: ElevationPatch, lattice: Lattice) -> tuple[Array, Array]:
     """A patch as the reference gives it: cells (i, j) in rising (j, i) order, and records."""
     side = lattice.tile_cells
-    i = np.concatenate([patch.at[a:b] % side + k.x * side for k, a, b in spans(patch)] or [np.empty(0, int)])
-    j = np.concatenate([patch.at[a:b] // side + k.y * side for k, a, b in spans(patch)] or [np.empty(0, int)])
+    x, y, _ = np.array(patch.keys, np.int64).reshape(-1, 3)[patch.tile_of].T
+    i, j = patch.at % side + x * side, patch.at // side + y * side
     order = np.lexsort((i, j))
     return np.stack([i, j], axis=1)[order], patch.records[order]
 
 
-def spans(patch: Patch):
-    return zip(patch.keys, patch.starts[:-1], patch.starts[1:], strict=True)
-
-
-def assert_equals_reference(scan: Scan, lattice: Lattice, **gate: float) -> Patch:
+def assert_equals_reference(scan: Scan, lattice: Lattice, **gate: float) -> ElevationPatch:
     patch = make_model("elevation", gate).observer(lattice)(scan)
     near, far = gate.get("min_range_m", 0.0), gate.get("max_range_m", 1e8)
     cells, records = rasterise_reference(scan.points, scan.T_world_sensor.matrix, lattice.cells_per_m, near, far)

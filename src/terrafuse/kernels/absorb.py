@@ -21,7 +21,7 @@ from terrafuse.kernels.evidence import (
     variance_m2,
     zero,
 )
-from terrafuse.kernels.prefetch import DISTANCE, prefetch
+from terrafuse.kernels.memory import DISTANCE, prefetch_at, record_at
 from terrafuse.types import Array
 
 _EVIDENCE = [(name, EVIDENCE[name].str) for name in EVIDENCE.names or ()]
@@ -36,7 +36,8 @@ def _layout(fields: list[tuple[str, str]], offsets: list[int], itemsize: int) ->
     return dtype
 
 
-SURFACE = _layout(_SURFACE, [np.dtype(_SURFACE[:k]).itemsize for k in range(len(_SURFACE))], 64)
+SURFACE_BYTES, EVIDENCE_BYTES = 64, EVIDENCE.itemsize
+SURFACE = _layout(_SURFACE, [np.dtype(_SURFACE[:k]).itemsize for k in range(len(_SURFACE))], SURFACE_BYTES)
 """What a scan touches of a cell, padded to a cache line: its evidence, when it was last updated and by which revision,
 how often its surface changed and how often it was merged."""
 
@@ -58,15 +59,21 @@ class Rules(NamedTuple):
     """ticks"""
     variance_threshold: float
     """ticks²"""
+    flat_range: float
+    """ticks; a variance is at most a quarter of the range's square, so that a smaller range is flat at a glance"""
 
 
 def rules(static: bool, flat_tolerance_m: float, variance_threshold_m2: float) -> Rules:
-    return Rules(static, flat_tolerance_m * TICKS_PER_M, variance_threshold_m2 * TICKS_PER_M**2)
+    variance = variance_threshold_m2 * TICKS_PER_M**2
+    # A millionth less, so that rounding in the variance itself can't decide otherwise.
+    return Rules(static, flat_tolerance_m * TICKS_PER_M, variance, 2 * (1 - 1e-6) * variance**0.5)
 
 
 @njit(inline="always")
 def is_vertical(record, rules):
     """n > 2 and a variance over the threshold; times n², so that nothing is divided."""
+    if np.int64(record.z_max) - np.int64(record.z_min) <= rules.flat_range:
+        return False
     n, total = np.float64(record.n), np.float64(record.z_sum)
     square = record.sq_hi * TWO_64 + record.sq_lo
     return record.n > 2 and square * n - total * total > rules.variance_threshold * (n * n)
@@ -107,30 +114,35 @@ def absorb(own, ground, new, rules):
     return 1
 
 
+_SURFACES, _GROUNDS = np.empty(0, SURFACE), np.empty(0, EVIDENCE)
+_POSITIONS = np.empty(0, np.dtype([("at", "<i4")]))
+
+STATE = np.dtype([("surface", "<i8"), ("ground", "<i8"), ("changed", "<i8"), ("count", "<i8"), ("reported", "<i8")])
+"""A tile as `merge` sees it: the addresses of its (T²,) SURFACE, (T²,) EVIDENCE and (T² + 1,) int32 list of positions
+that changed after revision `reported`, and how many of those there are."""
+
+
 @njit(cache=True, nogil=True)
-def merge(surface, ground, at, patch, stamp, revision, reported, changed, count, rules):
-    """A robot's tile ← a scan's patch.
+def merge(tiles, tile_of, at, patch, stamp, revision, rules):
+    """A robot's tiles ← a scan's patch.
 
-    surface (T²,) SURFACE, ground (T²,) EVIDENCE, at (K,) positions, patch (K,) EVIDENCE.
-
-    Positions that change for the first time since revision `reported` are appended to `changed` (T² + 1,) after its
-    first `count`. Returns the new count.
+    tiles (T,) STATE; patch (K,) EVIDENCE, of which record k belongs to position at[k] of tile tile_of[k], each once.
     """
     last = at.shape[0] - 1
     for k in range(at.shape[0]):
-        prefetch(surface, at[min(k + DISTANCE, last)])
-        place = at[k]
-        own, new = surface[place], patch[k]
+        ahead = min(k + DISTANCE, last)
+        prefetch_at(tiles[tile_of[ahead]].surface + np.int64(at[ahead]) * SURFACE_BYTES)
+        tile, place, new = tiles[tile_of[k]], np.int64(at[k]), patch[k]
+        own = record_at(_SURFACES, tile.surface + place * SURFACE_BYTES)
         if own.n == 0:
             take(own, new)
         else:
-            own.changes += np.uint32(absorb(own, ground[place], new, rules))
-        changed[count] = place
-        count += own.revision <= reported
+            own.changes += np.uint32(absorb(own, record_at(_GROUNDS, tile.ground + place * EVIDENCE_BYTES), new, rules))
+        record_at(_POSITIONS, tile.changed + 4 * tile.count).at = at[k]
+        tile.count += own.revision <= tile.reported
         own.merges += np.uint32(1)
         own.stamp = max(own.stamp, stamp)
         own.revision = np.uint32(revision)
-    return count
 
 
 @njit(inline="always")

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from terrafuse.kernels.evidence import EVIDENCE, MAX_Z_M, TICKS_PER_M, Z_NONE_MAX, Z_NONE_MIN, empty, hit, ticks
-from terrafuse.kernels.prefetch import DISTANCE, prefetch
+from terrafuse.kernels.memory import DISTANCE, prefetch
 from terrafuse.types import Array, Floats
 
 BLOCK = 2048
@@ -32,7 +32,7 @@ DROP_REASONS = ("not finite", "nearer than min_range_m", "beyond max_range_m", "
 class Patchwork(NamedTuple):
     """The scratch of one robot's rasteriser, kept between scans: fresh memory costs more than the work.
 
-    `records` are empty between scans; `at` and `grouped` hold the last patch.
+    `records`, `tile_of` and `at` hold the last patch.
     """
 
     grid: Array
@@ -41,15 +41,13 @@ class Patchwork(NamedTuple):
     places: Array
     """(capacity,) int32: the grid index of each slot."""
     records: Array
-    """(capacity,) EVIDENCE."""
+    """(capacity,) EVIDENCE of each slot."""
     later: Array
     """(capacity,) int64: points beyond the window."""
     tile_of: Array
     """(capacity,) int32: the tile of each slot, counted in the order in which they are met."""
     at: Array
-    """(capacity,) int32: flat positions, by tile."""
-    grouped: Array
-    """(capacity,) EVIDENCE, by tile."""
+    """(capacity,) int32: the flat position of each slot in its tile."""
 
     @property
     def capacity(self) -> int:
@@ -60,16 +58,8 @@ def new_patchwork(capacity: int, grid: Array | None = None) -> Patchwork:
     """Scratch for `capacity` points and cells; takes over the grid of a smaller one."""
     if grid is None:
         grid = np.full(NOWHERE + 1, -1, np.int32)
-    records = np.empty(capacity, EVIDENCE)
-    clear_records(records)
     places, tile_of, at = (np.empty(capacity, np.int32) for _ in range(3))
-    return Patchwork(grid, places, records, np.empty(capacity, np.int64), tile_of, at, np.empty(capacity, EVIDENCE))
-
-
-@njit(cache=True, nogil=True)
-def clear_records(records):
-    for k in range(records.shape[0]):
-        empty(records[k])
+    return Patchwork(grid, places, np.empty(capacity, EVIDENCE), np.empty(capacity, np.int64), tile_of, at)
 
 
 @njit(inline="always")
@@ -153,8 +143,8 @@ def rasterise(points, T, cells_per_m, i0, j0, near2, far2, grid, first_slot, pla
     `grid` holds nothing that is `first_slot` or more.
 
     T: 4×4 float64 T_world_sensor; near2, far2: squared range gate in m². `dropped` (5,) int64 is added to; `later` (N,)
-    int64 receives the indices of points beyond the window, dropped[LATER] of them. `records` must be empty and hold
-    N + 1. The slot of NOWHERE, if any, is the caller's to ignore.
+    int64 receives the indices of points beyond the window, dropped[LATER] of them. `records` must hold N + 1. The slot
+    of NOWHERE, if any, is the caller's to ignore.
     """
     x = np.empty(BLOCK, points.dtype)
     y = np.empty(BLOCK, points.dtype)
@@ -180,64 +170,63 @@ def rasterise(points, T, cells_per_m, i0, j0, near2, far2, grid, first_slot, pla
             slot = count if new else slot
             grid[place] = slot + first_slot
             places[slot] = place
+            empty(records[np.uint64(count)])  # whether or not it is this point's
             count += new
             hit(records[np.uint64(slot)], heights[k])
     return count
 
 
-@njit(cache=True, nogil=True)
-def group(places, records, count, i0, j0, tile_cells, keys, starts, tile_of, at, grouped):
-    """Move a patchwork's records out, sorted by tile, in their order within one; the patchwork is empty again.
+@njit(nogil=True)
+def split(first, tile_cells):
+    """For each column (or row) of a window that starts at this cell of a tile: the tile it is in, and where in it."""
+    tile, within = np.empty(WINDOW, np.int32), np.empty(WINDOW, np.int32)
+    t, w = 0, first
+    for k in range(WINDOW):
+        tile[k], within[k] = t, w
+        w += 1
+        if w == tile_cells:
+            t, w = t + 1, 0
+    return tile, within
 
-    Writes the T tiles hit to keys (T, 2) as (x, y), the T + 1 offsets to starts, and for each record its flat position
-    j·tile_cells + i in its tile to `at` and itself to `grouped`. Returns T.
+
+@njit(cache=True, nogil=True)
+def divide(places, records, count, i0, j0, tile_cells, keys, tile_of, at):
+    """Say of each slot of a patchwork to which tile it belongs. Returns (tiles, slots); NOWHERE's slot is taken out.
+
+    Writes the tiles hit to keys (T, 2) as (x, y), and for each slot the index of its tile there to `tile_of` and its
+    flat position j·tile_cells + i in the tile to `at`.
     """
     tile0_x, tile0_y = i0 // tile_cells, j0 // tile_cells
     across = WINDOW // tile_cells + 2
     order = np.full(across * across, -1, np.int32)
-    per_cell = 1.0 / tile_cells
+    x, column = split(i0 - tile0_x * tile_cells, tile_cells)
+    y, row = split(j0 - tile0_y * tile_cells, tile_cells)
     tiles = 0
     for k in range(count):
-        place = places[k]
-        if place == NOWHERE:
-            tile_of[k] = -1
-            continue
-        wi, wj = cell_at(place)
-        # (i + ½)/T is never within rounding of a whole number, so this equals the integer division, which is slower.
-        x = np.int64(np.floor((i0 + wi + 0.5) * per_cell))
-        y = np.int64(np.floor((j0 + wj + 0.5) * per_cell))
-        seat = (y - tile0_y) * across + (x - tile0_x)
+        if places[k] == NOWHERE:
+            count -= 1
+            places[k] = places[count]
+            records[k] = records[count]
+            break
+    for k in range(count):
+        wi, wj = cell_at(places[k])
+        seat = y[wj] * across + x[wi]
         tile = order[seat]
         if tile < 0:
             tile = tiles
             order[seat] = tile
-            keys[tile, 0] = x
-            keys[tile, 1] = y
-            starts[tile + 1] = 0
+            keys[tile, 0] = tile0_x + x[wi]
+            keys[tile, 1] = tile0_y + y[wj]
             tiles += 1
         tile_of[k] = tile
-        # The slot's grid index has served: its place in memory takes the position within the tile.
-        places[k] = (j0 + wj - y * tile_cells) * tile_cells + (i0 + wi - x * tile_cells)
-        starts[tile + 1] += 1
-    starts[0] = 0
-    for t in range(tiles):
-        starts[t + 1] += starts[t]
-    cursor = starts[:tiles].copy()
-    for k in range(count):
-        tile = tile_of[k]
-        if tile >= 0:
-            seat = cursor[tile]
-            cursor[tile] += 1
-            at[seat] = places[k]
-            grouped[seat] = records[k]
-        empty(records[k])
-    return tiles
+        at[k] = row[wj] * tile_cells + column[wi]
+    return tiles, count
 
 
 def rasterise_reference(
     points: Array, T: Floats, cells_per_m: float, near_m: float, far_m: float
 ) -> tuple[Array, Array]:
-    """What `rasterise` and `group` must equal: (K, 2) cells (i, j) in rising (j, i) order, and their (K,) EVIDENCE."""
+    """What `rasterise` and `divide` must equal: (K, 2) cells (i, j) in rising (j, i) order, and their (K,) EVIDENCE."""
     p = points.astype(np.float64)
     range2 = p[:, 0] * p[:, 0] + p[:, 1] * p[:, 1] + p[:, 2] * p[:, 2]
     world = [T[a, 0] * p[:, 0] + T[a, 1] * p[:, 1] + T[a, 2] * p[:, 2] + T[a, 3] for a in range(3)]

@@ -18,13 +18,36 @@ import numpy as np
 
 from terrafuse.kernels.grouping import by_tile
 from terrafuse.lattice import Lattice
-from terrafuse.tile import Tile, opaque
+from terrafuse.tile import RecordTile, Tile, opaque
 from terrafuse.types import Array, Floats, Scan, Stamp, TileKey
+
+
+class AnyPatch(Protocol):
+    """The evidence of one scan: only the cells that it touched."""
+
+    @property
+    def keys(self) -> Sequence[TileKey]:
+        """The tiles that it touched, each once."""
+
+    @property
+    def cells(self) -> int:
+        """How many cells it touched."""
+
+    @property
+    def points(self) -> int:
+        """Points of the scan."""
+
+    @property
+    def dropped(self) -> Mapping[str, int]:
+        """Points that did not count, by reason."""
+
+    def merge_into(self, tiles: Sequence[Any], stamp_ns: int, revision: int) -> None:
+        """Merge into these tiles, one for each key in the same order. `revision` is no smaller than any before."""
 
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """The evidence of one scan: only the cells that it touched, grouped by tile.
+    """A patch as records grouped by tile: what a model needs that has no layout of its own.
 
     Records `starts[t]:starts[t + 1]` belong to tile `keys[t]`; `at` has each one's flat position in its tile,
     j·tile_cells + i, each position once. The arrays are the observer's scratch: they hold until its next scan.
@@ -37,6 +60,15 @@ class Patch:
     points: int
     dropped: Mapping[str, int]
     """Points that did not count, by reason."""
+
+    @property
+    def cells(self) -> int:
+        return len(self.at)
+
+    def merge_into(self, tiles: Sequence[RecordTile], stamp_ns: int, revision: int) -> None:
+        for t, tile in enumerate(tiles):
+            part = slice(self.starts[t], self.starts[t + 1])
+            tile.merge(self.at[part], self.records[part], stamp_ns, revision)
 
 
 def patch_of(
@@ -51,7 +83,7 @@ def patch_of(
 class Observer(Protocol):
     """Turns scans into patches; holds the scratch memory of one robot. Not for two threads at once."""
 
-    def __call__(self, scan: Scan) -> Patch: ...
+    def __call__(self, scan: Scan) -> AnyPatch: ...
 
 
 @dataclass(frozen=True)
@@ -109,7 +141,7 @@ class Model(Protocol):
     def observer(self, lattice: Lattice) -> Observer: ...
 
     def tile(self, lattice: Lattice) -> Tile:
-        """A new tile of a robot's own map, all unknown; its `merge` takes a patch's records in."""
+        """A new tile of a robot's own map, all unknown; the observer's patches merge into such."""
 
     def fuse(self, older: Array, newer: Array, lattice: Lattice) -> Array:
         """The next step of the fold: (M,) cells of robots so far, (M,) of the next robot → (M,)."""
@@ -124,15 +156,22 @@ class Model(Protocol):
 def fold(model: Model, contributions: Sequence[Array], lattice: Lattice) -> Array:
     """The global cells: `model.fuse` over the robots' cells in the order (stamp, robot), for each cell its own order.
 
+    A model whose `fold_by_name` is true has them fused in the order of the robots' names alone, whatever the stamps.
+
     `contributions`: (M,) cells of each robot, in the order of the robots' names. This is the one definition of the
     global map: whatever way contributions came, the same ones give the same bytes.
     """
     if len(contributions) == 1:
         return contributions[0].copy()
-    stack = np.stack(contributions)
-    order = np.argsort(stack["stamp"], axis=0, kind="stable")
-    ordered = np.take_along_axis(stack, order, axis=0)
+    ordered = contributions if getattr(model, "fold_by_name", False) else _by_stamp(contributions)
     fused = ordered[0]
     for newer in ordered[1:]:
         fused = model.fuse(fused, newer, lattice)
     return np.asarray(fused)
+
+
+def _by_stamp(contributions: Sequence[Array]) -> Array:
+    """(robots, M) cells, each column sorted by stamp; equal stamps keep the order of the names."""
+    stack = np.stack(contributions)
+    order = np.argsort(stack["stamp"], axis=0, kind="stable")
+    return np.take_along_axis(stack, order, axis=0)

@@ -5,8 +5,8 @@ Koch & Lacroix, "Managing environment models in multi-robot teams" (the *tiles* 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from terrafuse.errors import InputError
 from terrafuse.kernels import absorb, evidence, rasterise
 from terrafuse.kernels.planes import fit_planes
 from terrafuse.lattice import Lattice
-from terrafuse.models.base import Layer, Patch, Reading
+from terrafuse.models.base import Layer, Reading
 from terrafuse.tile import aligned_zeros
 from terrafuse.types import Array, Floats, Scan, TileKey
 
@@ -67,10 +67,10 @@ class Elevation:
         return absorb.rules(self.static, tolerance_m, max(self.variance_threshold_m2, rise_m**2 / 4))
 
     def observer(self, lattice: Lattice) -> ElevationObserver:
-        return ElevationObserver(lattice, self.min_range_m, self.max_range_m)
+        return ElevationObserver(lattice, self.rules(lattice), self.min_range_m, self.max_range_m)
 
     def tile(self, lattice: Lattice) -> ElevationTile:
-        return ElevationTile(lattice.tile_cells, self.rules(lattice))
+        return ElevationTile(lattice.tile_cells)
 
     def fuse(self, older: Array, newer: Array, lattice: Lattice) -> Array:
         out = np.ascontiguousarray(older).copy()
@@ -161,29 +161,24 @@ class Elevation:
 class ElevationTile:
     """Two arrays: what every scan touches, a cache line a cell; and the cached ground, which few cells have."""
 
-    def __init__(self, side: int, rules: absorb.Rules) -> None:
+    def __init__(self, side: int) -> None:
         self.revision = 0
-        self._rules = rules
         self._surface = aligned_zeros(side * side, absorb.SURFACE)
         self._ground = aligned_zeros(side * side, evidence.EVIDENCE)
         # One more than there are cells: the kernel writes before it knows whether to keep.
         self._changed = np.empty(side * side + 1, np.int32)
+        self._addresses = self._surface.ctypes.data, self._ground.ctypes.data, self._changed.ctypes.data
         self._count = 0
         self._reported = 0
 
-    def merge(self, at: Array, patch: Array, stamp_ns: int, revision: int) -> None:
-        self._count = absorb.merge(
-            self._surface,
-            self._ground,
-            at,
-            patch,
-            stamp_ns,
-            revision,
-            self._reported,
-            self._changed,
-            self._count,
-            self._rules,
-        )
+    @property
+    def state(self) -> tuple[int, int, int, int, int]:
+        """As absorb.STATE."""
+        return *self._addresses, self._count, self._reported
+
+    def merged(self, changed: int, revision: int) -> None:
+        """The kernel was here: so many positions are in the list of changes now."""
+        self._count = changed
         self.revision = revision
 
     def changed(self, since: int) -> tuple[Array, Array]:
@@ -215,22 +210,46 @@ class ElevationTile:
         return int(self._surface.nbytes + self._ground.nbytes + self._changed.nbytes)
 
 
+@dataclass(frozen=True, eq=False)
+class ElevationPatch:
+    """The evidence of one scan, in the order in which its cells were met: (K,) records, of which number k belongs to
+    position at[k] of the tile keys[tile_of[k]]. The arrays are the observer's scratch: they hold until its next scan.
+    """
+
+    keys: Sequence[TileKey]
+    tile_of: Array
+    at: Array
+    records: Array
+    points: int
+    dropped: Mapping[str, int]
+    rules: absorb.Rules
+
+    @property
+    def cells(self) -> int:
+        return len(self.at)
+
+    def merge_into(self, tiles: Sequence[ElevationTile], stamp_ns: int, revision: int) -> None:
+        states = np.array([tile.state for tile in tiles], absorb.STATE)
+        absorb.merge(states, self.tile_of, self.at, self.records, stamp_ns, revision, self.rules)
+        for tile, count in zip(tiles, states["count"].tolist(), strict=True):
+            tile.merged(count, revision)
+
+
 class ElevationObserver:
     """Rasterises scans of one robot on one lattice; keeps the scratch between scans."""
 
-    def __init__(self, lattice: Lattice, min_range_m: float, max_range_m: float) -> None:
-        self._lattice = lattice
+    def __init__(self, lattice: Lattice, rules: absorb.Rules, min_range_m: float, max_range_m: float) -> None:
+        self._lattice, self._rules = lattice, rules
         self._near2, self._far2 = min_range_m**2, max_range_m**2
         self._scratch = rasterise.new_patchwork(1 << 14)
         self._first_slot = 0
         across = rasterise.WINDOW // lattice.tile_cells + 2
         self._keys = np.empty((across * across, 2), np.int64)
-        self._starts = np.empty(across * across + 1, np.int64)
 
-    def __call__(self, scan: Scan) -> Patch:
+    def __call__(self, scan: Scan) -> ElevationPatch:
         T_world_sensor = scan.T_world_sensor.matrix
         dropped = np.zeros(5, np.int64)
-        parts: list[Patch] = []
+        parts: list[ElevationPatch] = []
         points = _checked(scan.points)
         centre = T_world_sensor[:2, 3]
         while len(points):
@@ -240,9 +259,9 @@ class ElevationObserver:
                 p = points[0].astype(np.float64)
                 centre = T_world_sensor[:2, :3] @ p + T_world_sensor[:2, 3]
         reasons = {name: int(n) for name, n in zip(rasterise.DROP_REASONS, dropped, strict=False) if n}
-        return _joined(parts, len(scan.points), reasons)
+        return _joined(parts, len(scan.points), reasons, self._rules)
 
-    def _pass(self, points: Array, T: Floats, centre: Floats, dropped: Array) -> tuple[Array, Patch]:
+    def _pass(self, points: Array, T: Floats, centre: Floats, dropped: Array) -> tuple[Array, ElevationPatch]:
         """Rasterise what lies in one window of the lattice; return the points beyond it, and the patch."""
         work = self._reserve(len(points) + 1)
         lattice = self._lattice
@@ -264,23 +283,14 @@ class ElevationObserver:
             work.later,
         )
         self._first_slot += count
-        tiles = rasterise.group(
-            work.places,
-            work.records,
-            count,
-            i0,
-            j0,
-            lattice.tile_cells,
-            self._keys,
-            self._starts,
-            work.tile_of,
-            work.at,
-            work.grouped,
+        tiles, count = rasterise.divide(
+            work.places, work.records, count, i0, j0, lattice.tile_cells, self._keys, work.tile_of, work.at
         )
-        keys = [TileKey(int(x), int(y)) for x, y in self._keys[:tiles]]
-        starts = self._starts[: tiles + 1].copy()
+        keys = [TileKey(x, y) for x, y in self._keys[:tiles].tolist()]
         rest = points[work.later[: dropped[rasterise.LATER]]]
-        return rest, Patch(keys, starts, work.at[: starts[-1]], work.grouped[: starts[-1]], 0, {})
+        return rest, ElevationPatch(
+            keys, work.tile_of[:count], work.at[:count], work.records[:count], 0, {}, self._rules
+        )
 
     def _reserve(self, capacity: int) -> rasterise.Patchwork:
         """The scratch, with room for `capacity` points."""
@@ -301,18 +311,27 @@ def _checked(points: Array) -> Array:
     return np.ascontiguousarray(points)
 
 
-def _copy(patch: Patch) -> Patch:
+def _copy(patch: ElevationPatch) -> ElevationPatch:
     """The patch in memory of its own, before the next pass takes the scratch."""
-    return Patch(patch.keys, patch.starts, patch.at.copy(), patch.records.copy(), patch.points, patch.dropped)
+    return replace(patch, tile_of=patch.tile_of.copy(), at=patch.at.copy(), records=patch.records.copy())
 
 
-def _joined(parts: list[Patch], points: int, dropped: Mapping[str, int]) -> Patch:
-    """One patch of several passes. Windows may overlap in a tile, never in a cell: tiles appear once for each pass."""
+def _joined(
+    parts: list[ElevationPatch], points: int, dropped: Mapping[str, int], rules: absorb.Rules
+) -> ElevationPatch:
+    """One patch of several passes. Their windows may overlap in a tile, never in a cell."""
     if len(parts) == 1:
-        return Patch(parts[0].keys, parts[0].starts, parts[0].at, parts[0].records, points, dropped)
-    keys: list[TileKey] = [key for part in parts for key in part.keys]
-    offsets = np.cumsum([0] + [len(part.at) for part in parts])
-    starts = np.concatenate([part.starts[:-1] + o for part, o in zip(parts, offsets, strict=False)] + [offsets[-1:]])
-    at = np.concatenate([part.at for part in parts]) if parts else np.empty(0, np.int32)
-    records = np.concatenate([part.records for part in parts]) if parts else np.empty(0, evidence.EVIDENCE)
-    return Patch(keys, starts.astype(np.int64), at, records, points, dropped)
+        return replace(parts[0], points=points, dropped=dropped)
+    none = np.empty(0, np.int32)
+    keys = list(dict.fromkeys(key for part in parts for key in part.keys))
+    number = {key: k for k, key in enumerate(keys)}
+    tile_of = [np.array([number[key] for key in part.keys], np.int32)[part.tile_of] for part in parts]
+    return ElevationPatch(
+        keys,
+        np.concatenate([none, *tile_of]),
+        np.concatenate([none, *(part.at for part in parts)]),
+        np.concatenate([np.empty(0, evidence.EVIDENCE), *(part.records for part in parts)]),
+        points,
+        dropped,
+        rules,
+    )

@@ -6,7 +6,8 @@ Frames and units are in the names: `T_world_sensor` takes a point in the sensor'
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -160,6 +161,18 @@ RAY = Beam()
 
 
 @dataclass(frozen=True, eq=False)
+class NoReturns:
+    """Beams whose reading is no distance: a code, 0, NaN, beyond a limit. What they mean, the log does not say.
+
+    `directions`: (K, 3), unit, in the sensor's frame; `readings_m`: (K,), as they stand in the log. Models leave them
+    alone: only the description of a sensor can say that they mean empty space.
+    """
+
+    directions: Floats
+    readings_m: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class Scan:
     """What one sensor saw at one instant.
 
@@ -177,6 +190,9 @@ class Scan:
     misses: Array | None = None
     origins: Array | None = None
     beam: Beam = RAY
+    no_returns: NoReturns | None = None
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    """Readings that were left out before models see the scan, by reason."""
 
 
 @dataclass(frozen=True)

@@ -74,6 +74,17 @@ def test_no_return_is_left_out(tmp_path: Path) -> None:
     refuses(f"{path}?max_range_m=0", "?max_range_m=0 is not a positive number")
 
 
+def test_beams_without_return_keep_their_direction_and_reading(tmp_path: Path) -> None:
+    """Beams 0 (to the right, -y), 45 and 90 (ahead) of 180; cos 45° = 0.707107."""
+    ranges: list[object] = [1.0] * 180
+    ranges[0], ranges[45], ranges[90] = 81.83, "nan", 0
+    (scan,) = scans(str(write(tmp_path, flaser("1", ranges))))
+    silent = scan.no_returns
+    assert np.allclose(silent.directions, [[0, -1, 0], [0.707107, -0.707107, 0], [1, 0, 0]], atol=1e-6)
+    assert np.array_equal(silent.readings_m, [81.83, np.nan, 0], equal_nan=True)
+    assert scan.misses is None  # the log does not say that they are empty space
+
+
 @pytest.mark.parametrize("remissions", [0, 4])
 def test_robotlaser_states_its_angles_and_limit(tmp_path: Path, remissions: int) -> None:
     path = write(tmp_path, robotlaser("7.5", [1.0, 2.0, 20.0, 4.0], remissions=remissions))
@@ -82,6 +93,7 @@ def test_robotlaser_states_its_angles_and_limit(tmp_path: Path, remissions: int)
     angles = np.array([-1, -0.5, 0.5])
     expected = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1) * [[1], [2], [4]]
     assert np.allclose(scan.points, expected)
+    assert scan.no_returns.readings_m.tolist() == [20.0]
     assert np.allclose(scan.T_world_sensor.matrix, pose(1, 2, 0, yaw=0.5).matrix)
 
 

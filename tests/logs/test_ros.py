@@ -313,6 +313,9 @@ def test_laser_scans_keep_only_what_was_seen(tmp_path: Path, kind: str) -> None:
     entries = [laser(at(0), ranges), tf(at(0), "map", "laser", (0, 0, 0, *Q)), tf(at(1), "map", "laser", (0, 0, 0, *Q))]
     (scan,) = scans(f"{write_bag(tmp_path, kind, entries)}?pose=/tf&max_gap_s=1")
     assert np.allclose(scan.points, [[1, 0, 0], [0, 2, 0], [-4, 0, 0]], atol=1e-5)
+    assert np.allclose(scan.misses, [[0, 10, 0]], atol=1e-5)  # REP 117: nothing up to range_max
+    assert np.allclose(scan.no_returns.readings_m, [0.4, 11, np.nan], equal_nan=True)
+    assert np.allclose(scan.no_returns.directions, [[-1, 0, 0], [0, -1, 0], [1, 0, 0]], atol=1e-5)
 
 
 def test_an_all_nan_cloud_is_passed_on(tmp_path: Path) -> None:

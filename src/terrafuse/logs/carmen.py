@@ -27,7 +27,7 @@ from terrafuse.errors import LogError, PoseError
 from terrafuse.logs.base import Log, Reader, Record, Source
 from terrafuse.logs.options import NS, choice, listed, positive
 from terrafuse.logs.stamps import seconds_to_ns
-from terrafuse.types import Floats, Pose, Scan, Stamp
+from terrafuse.types import Floats, NoReturns, Pose, Scan, Stamp
 
 SUFFIXES = (".log", ".clf", ".log.gz", ".clf.gz", ".log.bz2", ".clf.bz2")
 KEYWORDS = ("FLASER", "ROBOTLASER1", "ODOM", "PARAM", "RAWLASER1", "# CARMEN", "# message")
@@ -81,17 +81,17 @@ def open_carmen(source: Source) -> Log:
 def read_scan(line: Line, stamp_ns: Stamp, limit_m: float, fov_rad: float | None) -> Scan:
     """The scan of one line: points at z = 0 in the laser's frame, x forward, y left.
 
-    Readings that are 0, NaN, or at least `limit_m` or the line's own maximum are "no return" and left out.
+    Readings that are 0, NaN, or at least `limit_m` or the line's own maximum are `no_returns`. They say nothing by
+    themselves: in the public logs they come from glass and dark surfaces as well as from empty space.
     """
     try:
         ranges, angles, max_m, pose = _fields(line, fov_rad)
     except (ValueError, IndexError) as error:
         raise LogError(f"{line.place}: not a whole {line.message} line ({error}); remove or repair it") from None
     seen = (ranges > 0) & (ranges < min(limit_m, max_m))  # NaN compares false
-    points = np.zeros((int(seen.sum()), 3))
-    points[:, 0] = ranges[seen] * np.cos(angles[seen])
-    points[:, 1] = ranges[seen] * np.sin(angles[seen])
-    return Scan(stamp_ns, points, _pose(pose, line))
+    directions = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))], axis=1)
+    points = ranges[seen, None] * directions[seen]
+    return Scan(stamp_ns, points, _pose(pose, line), no_returns=NoReturns(directions[~seen], ranges[~seen]))
 
 
 def _fields(line: Line, fov_rad: float | None) -> tuple[Floats, Floats, float, Floats]:

@@ -152,9 +152,14 @@ def in_world(_: Stamp) -> Pose:
 
 
 def placed(stamp_ns: Stamp, pose_at: PoseAt, points: Callable[[], Array]) -> Record:
-    """The scan at its pose; where there is none, a Skipped, and its points are not even read."""
+    """The scan of these points at its pose; where there is none, a Skipped, and its points are not even read."""
+    return placed_scan(stamp_ns, pose_at, lambda T_world_sensor: Scan(stamp_ns, points(), T_world_sensor))
+
+
+def placed_scan(stamp_ns: Stamp, pose_at: PoseAt, scan: Callable[[Pose], Scan]) -> Record:
+    """The scan that is made with its pose; where there is none, a Skipped, and none is made."""
     try:
         T_world_sensor = pose_at(stamp_ns)
     except NoPose as reason:
         return Skipped(stamp_ns, str(reason))
-    return Scan(stamp_ns, points(), T_world_sensor)
+    return scan(T_world_sensor)

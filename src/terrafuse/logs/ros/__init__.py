@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 from terrafuse.errors import LogError
@@ -10,8 +11,8 @@ from terrafuse.logs.base import Log, Reader, Record, Source
 from terrafuse.logs.options import MAX_GAP_HELP, listed
 from terrafuse.logs.ros.bag import Topic, bag_file, frame_of, is_bag, messages, opened, stamp_of, topics_of
 from terrafuse.logs.ros.motion import Motion, Recording, motion_of
-from terrafuse.logs.ros.points import LASER_SCAN, POINT_CLOUD, points_of
-from terrafuse.logs.trajectory import PoseAt, placed
+from terrafuse.logs.ros.points import LASER_SCAN, POINT_CLOUD, READ
+from terrafuse.logs.trajectory import PoseAt, placed_scan
 
 
 def open_ros(source: Source) -> Log:
@@ -35,11 +36,8 @@ def _read(path: Path, topic: Topic, motion: Motion) -> Iterator[Record]:
             if frame not in poses:
                 poses[frame] = motion(frame)
             where = f"{path}: {topic.name}: message {number}"
-            yield placed(
-                stamp_of(message.header),
-                poses[frame],
-                lambda message=message, where=where: points_of(message, topic.type, where),  # type: ignore[misc]
-            )
+            stamp_ns = stamp_of(message.header)
+            yield placed_scan(stamp_ns, poses[frame], partial(READ[topic.type], message, where, stamp_ns))
 
 
 def _cloud_topic(source: Source, topics: dict[str, Topic]) -> Topic:

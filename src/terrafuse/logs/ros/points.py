@@ -1,14 +1,15 @@
-"""PointCloud2 and LaserScan → points, whatever their layout, without a loop over points."""
+"""PointCloud2 and LaserScan → scans, whatever their layout, without a loop over points."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from terrafuse.errors import LogError
 from terrafuse.logs.options import listed
-from terrafuse.types import Array
+from terrafuse.types import Array, NoReturns, Pose, Scan, Stamp
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
@@ -17,13 +18,11 @@ FLOATS = {7: "f4", 8: "f8"}
 """PointField datatypes that a coordinate can have."""
 
 
-def points_of(message: Any, kind: str, where: str) -> Array:
-    """(N, 3) float32, or float64 where a coordinate has it, in the sensor's frame. `where` is for errors."""
-    return laser_points(message) if kind == LASER_SCAN else cloud_points(message, where)
-
-
 def cloud_points(message: Any, where: str) -> Array:
-    """Row-major, padding skipped, byte order as the message says. Raises LogError."""
+    """(N, 3) float32, or float64 where a coordinate has it: row-major, padding skipped, byte order as it says.
+
+    `where` is for errors. Raises LogError.
+    """
     layout = _layout(message, where)
     shape = (int(message.height), int(message.width))
     needed = shape[0] * int(message.row_step)
@@ -63,12 +62,31 @@ def _layout(message: Any, where: str) -> np.dtype[np.void]:
     )
 
 
-def laser_points(message: Any) -> Array:
-    """(N, 3) float64 at z = 0, without the NaN, infinite and out of [range_min, range_max] beams.
+def cloud_scan(message: Any, where: str, stamp_ns: Stamp, T_world_sensor: Pose) -> Scan:
+    return Scan(stamp_ns, cloud_points(message, where), T_world_sensor)
 
-    All beams count as of the header's stamp: motion during the hundredths of a second of a sweep is not undone.
+
+def laser_scan(message: Any, where: str, stamp_ns: Stamp, T_world_sensor: Pose) -> Scan:
+    """Points at z = 0, float64: the beams within [range_min, range_max].
+
+    REP 117: +inf says that there was likely nothing within range; NaN and -inf say nothing. Finite readings beyond the
+    limits are older drivers' codes, and what they mean the message does not say. All beams count as of the header's
+    stamp: motion during the hundredths of a second of a sweep is not undone.
     """
     ranges = np.asarray(message.ranges, np.float64)
+    angles = message.angle_min + message.angle_increment * np.arange(len(ranges))
+    directions = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))], axis=1)
     seen = (ranges >= message.range_min) & (ranges <= message.range_max) & np.isfinite(ranges)
-    angles = message.angle_min + message.angle_increment * np.flatnonzero(seen)
-    return np.stack([ranges[seen] * np.cos(angles), ranges[seen] * np.sin(angles), np.zeros(len(angles))], axis=1)
+    clear = np.isposinf(ranges) & (0 < message.range_max < np.inf)
+    silent = ~seen & ~clear
+    return Scan(
+        stamp_ns,
+        ranges[seen, None] * directions[seen],
+        T_world_sensor,
+        misses=message.range_max * directions[clear],
+        no_returns=NoReturns(directions[silent], ranges[silent]),
+    )
+
+
+READ: dict[str, Callable[[Any, str, Stamp, Pose], Scan]] = {POINT_CLOUD: cloud_scan, LASER_SCAN: laser_scan}
+"""How a message of each type becomes a scan: message, where it is (for errors), stamp, pose."""

@@ -8,8 +8,9 @@ from typing import Any
 from terrafuse.errors import InputError
 from terrafuse.models.base import Layer, Model, Observer, Patch, Reading, fold, patch_of
 from terrafuse.models.elevation import Elevation
+from terrafuse.models.terrain import Terrain
 
-MODELS: dict[str, Callable[..., Model]] = {"elevation": Elevation}
+MODELS: dict[str, Callable[..., Model]] = {"elevation": Elevation, "terrain": Terrain}
 
 
 def make_model(name: str, settings: Mapping[str, Any] | None = None) -> Model:

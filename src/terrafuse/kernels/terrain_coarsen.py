@@ -1,0 +1,126 @@
+"""k×k cells → one: the *patrol* paper's way from its high-resolution to its low-resolution map."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from terrafuse.kernels.terrain import (
+    CELL,
+    COARSE,
+    GRADIENT_X,
+    GRADIENT_Y,
+    HEIGHT,
+    OCCUPATION,
+    PRIOR,
+    Rules,
+    aged,
+    aged_reference,
+)
+from terrafuse.types import Array
+
+STATICS = ("gps_quality", "communications")
+
+
+@njit(cache=True, nogil=True)
+def coarsen(cells, factor, rules, out):
+    """cells (H, W) CELL, out (H/k, W/k) CELL of zeros.
+
+    Height and gradients are means by confidence, confidence the mean over all k×k cells with the unknown ones as 0,
+    as of the newest stamp. The occupation is the worst of the cells that are sure enough, of all where none is.
+    Of what is given, it promises the least that any of its cells does.
+    """
+    for j in range(out.shape[0]):
+        for i in range(out.shape[1]):
+            square = cells[j * factor : (j + 1) * factor, i * factor : (i + 1) * factor]
+            own = out[j, i]
+            for row in range(factor):
+                for column in range(factor):
+                    cell = square[row, column]
+                    own.stamp = max(own.stamp, cell.stamp)
+                    own.revision = max(own.revision, cell.revision)
+                    own.flags |= cell.flags
+                    own.gps_quality = least(own.gps_quality, cell.gps_quality)
+                    own.communications = least(own.communications, cell.communications)
+            if own.flags & HEIGHT:
+                average(square, factor, rules, own)
+
+
+@njit(inline="always")
+def least(a, b):
+    """The smaller of two that are given; 0 is not given."""
+    return b if a == 0 else (a if b == 0 else min(a, b))
+
+
+@njit(inline="always")
+def average(square, factor, rules, own):
+    """Fill in the surface of a coarse cell from square (k, k), one of which at least knows its height."""
+    known = weight = height = weight_x = weight_y = x = y = 0.0
+    plain = plain_x = plain_y = 0.0
+    known_x = known_y = 0.0
+    sure, worst = np.float32(-1.0), np.float32(-1.0)
+    prior = True
+    for row in range(factor):
+        for column in range(factor):
+            cell = square[row, column]
+            if not cell.flags & HEIGHT:
+                continue
+            confidence = aged(cell, cell.stamp, own.stamp, rules)
+            prior &= cell.flags & PRIOR != 0
+            known += 1.0
+            plain += cell.height
+            weight += confidence
+            height += confidence * cell.height
+            if cell.flags & GRADIENT_X:
+                known_x += 1.0
+                plain_x += cell.gradient_x
+                weight_x += confidence
+                x += confidence * cell.gradient_x
+            if cell.flags & GRADIENT_Y:
+                known_y += 1.0
+                plain_y += cell.gradient_y
+                weight_y += confidence
+                y += confidence * cell.gradient_y
+            if cell.flags & OCCUPATION:
+                worst = max(worst, cell.occupation)
+                if confidence >= rules.coarse_confidence:
+                    sure = max(sure, cell.occupation)
+    own.height = height / weight if weight > 0.0 else plain / known
+    if known_x > 0.0:
+        own.gradient_x = np.float32(x / weight_x if weight_x > 0.0 else plain_x / known_x)
+    if known_y > 0.0:
+        own.gradient_y = np.float32(y / weight_y if weight_y > 0.0 else plain_y / known_y)
+    own.confidence = np.float32(weight / (factor * factor))
+    own.occupation = max(sure if sure >= 0.0 else worst, np.float32(0.0))
+    own.flags &= HEIGHT | GRADIENT_X | GRADIENT_Y | OCCUPATION
+    own.flags |= COARSE | (PRIOR if prior else np.uint16(0))
+
+
+def coarsen_reference(cells: Array, factor: int, rules: Rules) -> Array:
+    """What `coarsen` must equal."""
+    rows, columns = cells.shape[0] // factor, cells.shape[1] // factor
+    squares = cells.reshape(rows, factor, columns, factor).swapaxes(1, 2).reshape(rows, columns, factor**2)
+    out = np.zeros((rows, columns), CELL)
+    out["stamp"], out["revision"] = squares["stamp"].max(axis=2), squares["revision"].max(axis=2)
+    for name in STATICS:
+        least_given = np.where(squares[name] > 0, squares[name], 255).min(axis=2)
+        out[name] = np.where(least_given < 255, least_given, 0)
+    has = squares["flags"] & HEIGHT != 0
+    confidence = np.where(has, aged_reference(squares, out["stamp"][..., None], rules), 0.0)
+    out["confidence"] = confidence.mean(axis=2)
+    flags = np.where(has.any(axis=2), COARSE, np.bitwise_or.reduce(squares["flags"], axis=2))
+    given = (~has | (squares["flags"] & PRIOR != 0)).all(axis=2)
+    flags |= np.where(given & has.any(axis=2), PRIOR, 0).astype(np.uint16)
+    for name, flag in (("height", HEIGHT), ("gradient_x", GRADIENT_X), ("gradient_y", GRADIENT_Y)):
+        known = squares["flags"] & flag != 0
+        weight = np.where(known, confidence, 0.0)
+        weight = np.where(weight.sum(axis=2, keepdims=True) > 0, weight, known)
+        total = weight.sum(axis=2)
+        out[name] = np.where(total > 0, (weight * squares[name]).sum(axis=2) / np.where(total > 0, total, 1.0), 0.0)
+        flags |= np.where(known.any(axis=2), flag, 0).astype(np.uint16)
+    known = squares["flags"] & OCCUPATION != 0
+    sure = known & (confidence >= rules.coarse_confidence)
+    counts = np.where(sure.any(axis=2, keepdims=True), sure, known)
+    out["occupation"] = np.where(counts, squares["occupation"], 0.0).max(axis=2)
+    out["flags"] = flags | np.where(known.any(axis=2), OCCUPATION, 0).astype(np.uint16)
+    return out

@@ -1,0 +1,192 @@
+"""A scan's sums → heights, gradients, confidence and occupation of its cells (the *patrol* paper, section 3.3)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from terrafuse.kernels.rasterise import WINDOW, cell_at, place_of
+from terrafuse.kernels.terrain import (
+    CELL,
+    GRADIENT_X,
+    GRADIENT_Y,
+    HEIGHT,
+    MOST_CONFIDENT,
+    OCCUPATION,
+    occupation_reference,
+    occupy,
+)
+from terrafuse.types import Array, Floats
+
+GRADIENTS = GRADIENT_X | GRADIENT_Y
+
+SMALL_RANGE, SMALL_PENALTY = 0.75, 0.2
+"""Up to this share of the maximum range the weight falls by the penalty; beyond it, to nothing (fig. 6)."""
+
+
+@njit(cache=True, nogil=True)
+def fit(sums, count, sensor_z, cells_per_m, least_spread, cells):
+    """Heights of `count` cells, and gradients where the points make a plane (eqs. 1 to 7).
+
+    A plane needs 3 points that spread: across their thinnest direction their standard deviation must be at least
+    `least_spread` sides of the cell.
+    """
+    for k in range(count):
+        s, cell = sums[k], cells[k]
+        u, v, w = s.u / s.n, s.v / s.n, s.w / s.n
+        uu, uv, vv = s.uu / s.n - u * u, s.uv / s.n - u * v, s.vv / s.n - v * v
+        half = (uu - vv) / 2
+        thinnest2 = (uu + vv) / 2 - math.sqrt(half * half + uv * uv)
+        a, b = 0.0, 0.0
+        cell.flags = HEIGHT
+        if s.n >= 3.0 and thinnest2 >= least_spread * least_spread:
+            uw, vw = s.uw / s.n - u * w, s.vw / s.n - v * w
+            determinant = uu * vv - uv * uv
+            a, b = (uw * vv - vw * uv) / determinant, (vw * uu - uw * uv) / determinant
+            cell.flags = HEIGHT | GRADIENTS
+        cell.height = w - a * u - b * v + sensor_z
+        cell.gradient_x = np.float32(a * cells_per_m)
+        cell.gradient_y = np.float32(b * cells_per_m)
+
+
+@njit(inline="always")
+def neighbour(a, b, grid, first_slot):
+    """The slot of the cell (a, b) of the window; negative where this scan did not hit it."""
+    if a < 0 or b < 0 or a >= WINDOW or b >= WINDOW:
+        return -1
+    return grid[place_of(a, b)] - first_slot
+
+
+@njit(inline="always")
+def difference(below, own, above, cells, cells_per_m):
+    """(dz/dx, whether there is one) from the neighbours on one axis: central, one-sided (eqs. 8, 9) or none."""
+    if below < 0 and above < 0:
+        return np.float32(0.0), False
+    low, high = below if below >= 0 else own, above if above >= 0 else own
+    sides = 2.0 if below >= 0 and above >= 0 else 1.0
+    return np.float32((cells[high].height - cells[low].height) * cells_per_m / sides), True
+
+
+@njit(cache=True, nogil=True)
+def difference_neighbours(places, count, grid, first_slot, cells_per_m, cells):
+    """Gradients of the cells that have no plane, from the heights of their four neighbours."""
+    for k in range(count):
+        cell = cells[k]
+        if cell.flags & GRADIENTS:
+            continue
+        a, b = cell_at(places[k])
+        west, east = neighbour(a - 1, b, grid, first_slot), neighbour(a + 1, b, grid, first_slot)
+        south, north = neighbour(a, b - 1, grid, first_slot), neighbour(a, b + 1, grid, first_slot)
+        cell.gradient_x, has_x = difference(west, k, east, cells, cells_per_m)
+        cell.gradient_y, has_y = difference(south, k, north, cells, cells_per_m)
+        cell.flags |= (GRADIENT_X if has_x else np.uint16(0)) | (GRADIENT_Y if has_y else np.uint16(0))
+
+
+@njit(inline="always")
+def range_weight(distance, max_range):
+    """1 at the sensor, 0.8 at three quarters of the range, 0 at its end (eq. 10, as its text and figure have it)."""
+    share = distance / max_range
+    if share <= SMALL_RANGE:
+        return 1.0 - SMALL_PENALTY / SMALL_RANGE * share
+    return max((1.0 - SMALL_PENALTY) / (1.0 - SMALL_RANGE) * (1.0 - share), 0.0)
+
+
+@njit(inline="always")
+def bits(x):
+    """How many bits of a uint64 are set."""
+    x = x - ((x >> np.uint64(1)) & np.uint64(0x5555555555555555))
+    x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return np.int64((x * np.uint64(0x0101010101010101)) >> np.uint64(56))
+
+
+@njit(cache=True, nogil=True)
+def assess(sums, places, count, i0, j0, T, cells_per_m, max_range, subcells, cells):
+    """Confidence: the share of sub-cells hit, times the weight of the distance to the middle of the points."""
+    for k in range(count):
+        s = sums[k]
+        a, b = cell_at(places[k])
+        east = (i0 + a + 0.5 + s.u / s.n) / cells_per_m - T[0, 3]
+        north = (j0 + b + 0.5 + s.v / s.n) / cells_per_m - T[1, 3]
+        up = s.w / s.n
+        weight = range_weight(math.sqrt(east * east + north * north + up * up), max_range)
+        cells[k].confidence = min(np.float32(bits(s.hit) / subcells * weight), MOST_CONFIDENT)
+
+
+@njit(cache=True, nogil=True)
+def occupy_all(count, max_slope, cells):
+    for k in range(count):
+        occupy(cells[k], max_slope)
+
+
+@njit(cache=True, nogil=True)
+def indices(places, count, i0, j0, i, j):
+    """Write the lattice's (i, j) of each cell."""
+    for k in range(count):
+        a, b = cell_at(places[k])
+        i[k], j[k] = i0 + a, j0 + b
+
+
+# --- the same, as slowly as it reads ---------------------------------------------------------------------------------
+
+
+def fit_reference(sums: Array, sensor_z: float, cells_per_m: float, least_spread: float) -> Array:
+    """(K,) CELL with height and gradients: β = (XᵀX)⁻¹ XᵀY (eq. 7), with X = [1 u v] and Y = w, where that is sound."""
+    n, u, v, w = (sums[name] for name in ("n", "u", "v", "w"))
+    spread = np.array([[sums["uu"], sums["uv"]], [sums["uv"], sums["vv"]]]) / n
+    spread -= np.array([[u * u, u * v], [u * v, v * v]]) / n**2
+    sound = (n >= 3) & (np.linalg.eigvalsh(spread.transpose(2, 0, 1))[:, 0] >= least_spread**2)
+    XtX = np.array([[n, u, v], [u, sums["uu"], sums["uv"]], [v, sums["uv"], sums["vv"]]]).transpose(2, 0, 1)
+    XtY = np.stack([w, sums["uw"], sums["vw"]], axis=-1)
+    beta = np.zeros((len(sums), 3))
+    beta[:, 0] = w / n
+    beta[sound] = np.linalg.solve(XtX[sound], XtY[sound][..., None])[..., 0]
+    cells = np.zeros(len(sums), CELL)
+    cells["height"] = beta[:, 0] + sensor_z
+    cells["gradient_x"], cells["gradient_y"] = (beta[:, axis] * cells_per_m for axis in (1, 2))
+    cells["flags"] = np.where(sound, HEIGHT | GRADIENTS, HEIGHT)
+    return cells
+
+
+def difference_neighbours_reference(i: Array, j: Array, cells: Array, cells_per_m: float) -> None:
+    """Fill in the gradients of cells (K,) in rising (j, i) order that have no plane."""
+    height = np.full((j.max() - j.min() + 3, i.max() - i.min() + 3), np.nan)
+    row, column = j - j.min() + 1, i - i.min() + 1
+    height[row, column] = cells["height"]
+    bare = cells["flags"] & GRADIENTS == 0
+    for name, flag, (dj, di) in (("gradient_x", GRADIENT_X, (0, 1)), ("gradient_y", GRADIENT_Y, (1, 0))):
+        below, above = height[row - dj, column - di], height[row + dj, column + di]
+        sides = 2.0 - np.isnan(below) - np.isnan(above)
+        low, high = (np.where(np.isnan(side), cells["height"], side) for side in (below, above))
+        fill = bare & (sides > 0)
+        cells[name][fill] = (high - low)[fill] * cells_per_m / sides[fill]
+        cells["flags"][fill] |= flag
+
+
+def range_weight_reference(distance: Floats, max_range: float) -> Floats:
+    """The line through (0, 1), (0.75 R, 0.8) and (R, 0)."""
+    return np.interp(distance, [0.0, SMALL_RANGE * max_range, max_range], [1.0, 1.0 - SMALL_PENALTY, 0.0])
+
+
+def assess_reference(
+    i: Array, j: Array, sums: Array, T: Floats, cells_per_m: float, max_range: float, subcells: int
+) -> Floats:
+    """Confidence of each cell, 0 to 1."""
+    middle = np.stack(
+        [
+            (i + 0.5 + sums["u"] / sums["n"]) / cells_per_m - T[0, 3],
+            (j + 0.5 + sums["v"] / sums["n"]) / cells_per_m - T[1, 3],
+            sums["w"] / sums["n"],
+        ]
+    )
+    weight = range_weight_reference(np.sqrt((middle**2).sum(axis=0)), max_range)
+    return np.asarray(np.minimum(np.bitwise_count(sums["hit"]) / subcells * weight, MOST_CONFIDENT))
+
+
+def occupy_reference(cells: Array, max_slope: float) -> None:
+    """Fill in the occupation."""
+    east, north = (cells[name].astype(np.float64) for name in ("gradient_x", "gradient_y"))
+    cells["occupation"], known = occupation_reference(east, north, cells["flags"] & GRADIENTS == GRADIENTS, max_slope)
+    cells["flags"][known] |= OCCUPATION

@@ -1,0 +1,289 @@
+"""`terrain`: heights, slopes, how passable a cell is and how sure all that is.
+
+Matta-Gómez, Del Cerro & Barrientos, "Multi-robot data mapping simulation by using Microsoft Robotics Developer Studio"
+(the *patrol* paper).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from terrafuse.errors import InputError
+from terrafuse.kernels import rasterise, terrain, terrain_coarsen, terrain_planes, terrain_points
+from terrafuse.lattice import Lattice
+from terrafuse.models.base import Layer, Patch, Reading, patch_of
+from terrafuse.tile import RecordTile
+from terrafuse.types import Array, Floats, Scan, Stamp
+
+DEFAULT_RANGE_M = 50.0
+"""Maximum range of a sensor that does not state one."""
+
+FARTHEST_M = 1e8
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """The terrain model's settings; an instance is the model."""
+
+    max_slope: float = 0.3
+    """|∇z| that a robot can just overcome: there the occupation reaches 1."""
+    subcells: int = 16
+    """Parts of a cell, of which the share that is hit is its confidence. A square number up to 64; let it grow with the
+    cell's area."""
+    min_range_m: float = 0.0
+    max_range_m: float | None = None
+    """Points beyond it are dropped, and confidence falls towards it. None: the scan's own where it states one, else
+    50 m. For clouds in the world's frame, whose sensor nobody knows, give a large number (up to 1e8)."""
+    half_life_s: float | None = 600.0
+    """Time in which confidence halves; None: it does not age."""
+    similar_angle_rad: float = math.radians(10)
+    """Cells whose normals are further apart show different surfaces."""
+    similar_height_m: float | None = 0.3
+    """Cells whose heights are further apart do so, too; in large cells it is max_slope times their side, if that is
+    more. None: heights tell nothing, as in the paper."""
+    confidence_gap: float = 2 / 16
+    """Of two cells that differ by more, the surer one is believed."""
+    confidence_high: float = 0.5
+    """Two cells that are this sure and disagree mean that the world has changed."""
+    coarse_confidence: float = 2 / 16
+    """With at least this confidence, a cell counts for the occupation of a coarser one."""
+    least_spread: float = 0.1
+    """Points make a plane if they spread by this share of the cell's side (standard deviation) in every direction."""
+
+    name = "terrain"
+    cell = terrain.CELL
+    picture_layer = "height"
+
+    def __post_init__(self) -> None:
+        if math.isqrt(max(self.subcells, 0)) ** 2 != self.subcells or not 1 <= self.subcells <= 64:
+            raise InputError(f"subcells {self.subcells}: give a square number from 1 to 64, such as 16, 25 or 64")
+        for field in ("max_slope", "half_life_s", "similar_angle_rad", "similar_height_m", "least_spread"):
+            value = getattr(self, field)
+            if value is not None and not 0 < value < math.inf:
+                raise InputError(f"{field} {value}: give a positive number")
+        for field in ("confidence_gap", "confidence_high", "coarse_confidence"):
+            if not 0 <= getattr(self, field) <= 1:
+                raise InputError(f"{field} {getattr(self, field)}: give a number from 0 to 1")
+        if not 0 <= self.min_range_m < (self.max_range_m or FARTHEST_M) <= FARTHEST_M:
+            raise InputError(f"range gate {self.min_range_m} to {self.max_range_m} m: give 0 ≤ min < max ≤ 1e8 m")
+
+    def settings(self) -> dict[str, Any]:
+        return asdict(self)
+
+    def rules(self, resolution_m: float) -> terrain.Rules:
+        """The thresholds for cells of this side."""
+        least_m = math.inf if self.similar_height_m is None else self.similar_height_m
+        return terrain.Rules(
+            math.cos(self.similar_angle_rad),
+            max(least_m, self.max_slope * resolution_m),
+            self.confidence_gap,
+            self.confidence_high,
+            0.0 if self.half_life_s is None else 1e-9 / self.half_life_s,
+            self.max_slope,
+            self.coarse_confidence,
+        )
+
+    def range_m(self, scan: Scan) -> float:
+        """The maximum range that counts for a scan."""
+        if self.max_range_m is not None:
+            return self.max_range_m
+        return scan.beam.max_range_m if math.isfinite(scan.beam.max_range_m) else DEFAULT_RANGE_M
+
+    def observer(self, lattice: Lattice) -> TerrainObserver:
+        return TerrainObserver(self, lattice)
+
+    def tile(self, lattice: Lattice) -> RecordTile:
+        return RecordTile(lattice.tile_cells, self.cell, partial(_merge, self.rules(lattice.resolution_m)))
+
+    def fuse(self, older: Array, newer: Array, lattice: Lattice) -> Array:
+        """By the stamps, whatever the order of the arguments; of equal stamps the second counts as the newer."""
+        out = np.ascontiguousarray(older).copy()
+        terrain.fuse(out, np.ascontiguousarray(newer), self.rules(lattice.resolution_m))
+        return out
+
+    def coarsen(self, cells: Array, factor: int) -> Array:
+        if factor == 1:
+            return cells.copy()
+        out = np.zeros((cells.shape[0] // factor, cells.shape[1] // factor), self.cell)
+        terrain_coarsen.coarsen(np.ascontiguousarray(cells), factor, self.rules(0.0), out)
+        return out
+
+    def known(self, cells: Array) -> Array:
+        """Cells of which anything is known, be it only what was given with the scenario."""
+        return np.asarray(cells["flags"] != 0)
+
+    def prior(
+        self,
+        height_m: ArrayLike,
+        confidence: ArrayLike,
+        gps_quality: ArrayLike | None = None,
+        communications: ArrayLike | None = None,
+        stamp_ns: Stamp = 0,
+    ) -> Array:
+        """(K,) records of what is known beforehand: they do not age, and their gradients are unknown.
+
+        `height_m` (K,), NaN where only the static layers are given; `confidence` (K,) from 0 to 1; `gps_quality` (K,) 0
+        none, 1 single, 2 differential; `communications` (K,) 0 or 1; NaN in these two where not given. A cell of NaN
+        everywhere is unknown. Raises InputError for other values.
+        """
+        height = np.asarray(height_m, np.float64)
+        known = ~np.isnan(height)
+        out = np.zeros(height.shape, self.cell)
+        out["height"] = np.where(known, height, 0.0)
+        sure = np.where(known, np.asarray(confidence, np.float64), 0.0)
+        if np.isinf(height).any() or not ((sure >= 0) & (sure <= 1)).all():
+            raise InputError("a prior map needs finite heights (NaN: none), with confidence from 0 to 1")
+        out["confidence"] = np.minimum(sure, terrain.MOST_CONFIDENT)
+        out["gps_quality"] = _static("gps_quality", gps_quality, 2)
+        out["communications"] = _static("communications", communications, 1)
+        something = known | (out["gps_quality"] > 0) | (out["communications"] > 0)
+        out["flags"] = np.where(known, terrain.HEIGHT, 0) | np.where(something, terrain.PRIOR, 0)
+        out["stamp"], out["revision"] = np.where(something, stamp_ns, 0), something
+        return out
+
+    @property
+    def layers(self) -> Mapping[str, Layer]:
+        return {layer.name: layer for layer in self._layers()}
+
+    def _layers(self) -> list[Layer]:
+        return [
+            Layer("height", "m", "height at the cell's centre", _field("height", terrain.HEIGHT)),
+            Layer("gradient_x", "1", "slope dz/dx towards the east", _field("gradient_x", terrain.GRADIENT_X)),
+            Layer("gradient_y", "1", "slope dz/dy towards the north", _field("gradient_y", terrain.GRADIENT_Y)),
+            self.occupied,
+            Layer("confidence", "1", "how sure the cell is by now, 0 to 255", self.confidence),
+            Layer("stamp", "s", "last update, seconds since 1970 UTC", lambda c, _: _where(self.known(c), _seconds(c))),
+            Layer("gps_quality", "1", "0 none, 1 single, 2 differential", lambda c, _: _given(c, "gps_quality")),
+            Layer("communications", "1", "0 none, 1 there is a link", lambda c, _: _given(c, "communications")),
+        ]
+
+    @property
+    def occupied(self) -> Layer:
+        return Layer(
+            "occupation",
+            "1",
+            "slope as a share of what is passable: 0 level to 1 impassable",
+            _field("occupation", terrain.OCCUPATION),
+        )
+
+    def confidence(self, cells: Array, reading: Reading) -> Floats:
+        """0 to 255, aged to the time of reading; 0 where only static layers are given."""
+        return _where(self.known(cells), 255.0 * terrain.aged_reference(cells, reading.now_ns, self.rules(0.0)))
+
+
+def _merge(rules: terrain.Rules, cells: Array, at: Array, patch: Array, stamp_ns: Stamp, revision: int) -> None:
+    terrain.merge(cells, at, patch, stamp_ns, revision, rules)
+
+
+def _where(known: Array, values: Array) -> Floats:
+    return np.where(known, values.astype(np.float64), np.nan)
+
+
+def _field(name: str, flag: np.uint16) -> Any:
+    return lambda cells, _: _where(cells["flags"] & flag != 0, cells[name])
+
+
+def _seconds(cells: Array) -> Floats:
+    return np.asarray(cells["stamp"] * 1e-9)
+
+
+def _given(cells: Array, name: str) -> Floats:
+    return _where(cells[name] > 0, cells[name] - 1.0)
+
+
+def _static(name: str, values: ArrayLike | None, most: int) -> Array | int:
+    """As it is stored: value + 1, and 0 where not given."""
+    if values is None:
+        return 0
+    given = np.asarray(values, np.float64)
+    if not (np.isnan(given) | np.isin(given, range(most + 1))).all():
+        raise InputError(f"{name}: give whole numbers from 0 to {most}, or NaN where nothing is known")
+    return np.where(np.isnan(given), 0, np.nan_to_num(given) + 1).astype(np.uint8)
+
+
+class TerrainObserver:
+    """Turns scans of one robot into patches on one lattice; keeps the scratch between scans."""
+
+    def __init__(self, model: Terrain, lattice: Lattice) -> None:
+        self._model, self._lattice = model, lattice
+        self._grid = np.zeros(rasterise.NOWHERE + 1, np.int32)
+        self._first_slot = 1
+        self._reserve(1 << 14)
+
+    def __call__(self, scan: Scan) -> Patch:
+        points = _checked(scan.points)
+        T, max_range_m = scan.T_world_sensor.matrix, self._model.range_m(scan)
+        dropped = np.zeros(5, np.int64)
+        origin = self._lattice.cell(T[:2, 3]) - rasterise.WINDOW // 2
+        found = self._pass(points, T, max_range_m, (int(origin[0]), int(origin[1])), dropped)
+        if dropped[rasterise.LATER]:
+            found = self._in_blocks(points, T, max_range_m)
+        reasons = {name: int(n) for name, n in zip(rasterise.DROP_REASONS, dropped, strict=False) if n}
+        return patch_of(*found, self._lattice, len(scan.points), reasons)
+
+    def _in_blocks(self, points: Array, T: Floats, max_range_m: float) -> tuple[Array, Array, Array]:
+        """As `_pass`, of a scan that is wider than the window.
+
+        Blocks overlap by a cell, so that each cell finds its neighbours; it is taken from the one that it lies inside.
+        """
+        side = rasterise.WINDOW - 2
+        i, j, *_ = terrain_points.locate_reference(
+            points, T, self._lattice.cells_per_m, self._model.min_range_m, max_range_m
+        )
+        parts = []
+        for x, y in np.unique(np.stack([i // side, j // side], axis=1), axis=0).tolist():
+            found = self._pass(points, T, max_range_m, (x * side - 1, y * side - 1), np.zeros(5, np.int64))
+            inside = (found[0] // side == x) & (found[1] // side == y)
+            parts.append([part[inside] for part in found])
+        i, j, cells = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        return i, j, cells
+
+    def _pass(
+        self, points: Array, T: Floats, max_range_m: float, origin: tuple[int, int], dropped: Array
+    ) -> tuple[Array, Array, Array]:
+        """(i, j, CELL records) of the cells of the window at `origin` that the points hit, (K,) each.
+
+        The stages of the paper's table 2 in their order.
+        """
+        self._reserve(len(points) + 1)
+        model, lattice, (i0, j0), first_slot = self._model, self._lattice, origin, self._first_slot
+        per_m, grid, places, sums, cells = lattice.cells_per_m, self._grid, self._places, self._sums, self._cells
+        near2, far2 = model.min_range_m**2, max_range_m**2
+        terrain_points.locate(points, T, per_m, i0, j0, near2, far2, *self._points, dropped, self._later)
+        across = math.isqrt(model.subcells)
+        count = terrain_points.add_up(*self._points, len(points), across, grid, first_slot, places, sums)
+        self._first_slot += count
+        terrain_planes.fit(sums, count, T[2, 3], per_m, model.least_spread, cells)
+        terrain_planes.difference_neighbours(places, count, grid, first_slot, per_m, cells)
+        terrain_planes.assess(sums, places, count, i0, j0, T, per_m, max_range_m, model.subcells, cells)
+        terrain_planes.occupy_all(count, model.max_slope, cells)
+        i, j = np.empty(count, np.int64), np.empty(count, np.int64)
+        terrain_planes.indices(places, count, i0, j0, i, j)
+        return i, j, cells[:count]
+
+    def _reserve(self, capacity: int) -> None:
+        """Make the scratch hold `capacity` points and cells."""
+        if capacity > len(getattr(self, "_places", ())):
+            room = 1 << (capacity - 1).bit_length()
+            self._points = terrain_points.new_points(room)
+            self._places, self._later = np.empty(room, np.int32), np.empty(room, np.int64)
+            self._sums, self._cells = np.empty(room, terrain_points.SUMS), np.zeros(room, terrain.CELL)
+        if self._first_slot + capacity >= 2**31:
+            self._grid.fill(0)
+            self._first_slot = 1
+
+
+def _checked(points: Array) -> Array:
+    """The points as the kernels take them: (N, 3 or more), float32 or float64, contiguous."""
+    if points.ndim != 2 or points.shape[1] < 3:
+        raise InputError(f"a scan's points are (N, 3), not {points.shape}")
+    if points.dtype not in (np.float32, np.float64):
+        points = points.astype(np.float64)
+    return np.ascontiguousarray(points)

@@ -11,8 +11,8 @@ from terrafuse.kernels.cones import cone, cone_capacity, cone_reference
 @given(
     st.floats(-20, 20),
     st.floats(-20, 20),
-    st.floats(-math.pi, math.pi),
-    st.floats(0.01, math.pi / 2),
+    st.floats(-math.pi, math.pi) | st.integers(-8, 8).map(lambda k: k * math.pi / 8),
+    st.floats(0.01, math.pi) | st.integers(1, 16).map(lambda k: k * math.pi / 16),
     st.floats(0.0, 3.0),
     st.sampled_from([1.0, 4.0, 10.0]),
 )

@@ -18,6 +18,16 @@ def cone_capacity(reach_m: float, cells_per_m: float) -> int:
     return (2 * math.ceil(reach_m * cells_per_m) + 3) ** 2
 
 
+@njit(inline="always")
+def clipped(low, high, dy, edge_x, edge_y, side):
+    """The part of low to high along a row `dy` off the apex that lies on one side (1 left, -1 right) of an edge."""
+    if edge_y * side > 0.0:
+        high = min(high, edge_x * dy / edge_y)
+    elif edge_y * side < 0.0:
+        low = max(low, edge_x * dy / edge_y)
+    return low, high
+
+
 @njit(cache=True, nogil=True)
 def cone(x, y, axis_x, axis_y, half_angle, reach, cells_per_m, i, j, rho, theta, first):
     """The cells of a cone with its apex at (x, y) metres and the unit axis (axis_x, axis_y), out to `reach` metres.
@@ -26,17 +36,30 @@ def cone(x, y, axis_x, axis_y, half_angle, reach, cells_per_m, i, j, rho, theta,
     `first` on, in rising (j, i) order; returns the position after the last. The cell that holds the apex is in it.
     """
     cell = 1.0 / cells_per_m
-    least = math.cos(half_angle)
+    least, most = math.cos(half_angle), math.sin(half_angle)
     home_i, home_j = np.floor(x * cells_per_m), np.floor(y * cells_per_m)
-    for b in range(int(np.floor((y - reach) * cells_per_m)), int(np.floor((y + reach) * cells_per_m)) + 1):
+    # A cone is narrow: only the stretch of a row that lies between its edges, and a cell more, is looked at.
+    right_x, right_y = axis_x * least + axis_y * most, axis_y * least - axis_x * most
+    left_x, left_y = axis_x * least - axis_y * most, axis_y * least + axis_x * most
+    narrow = least > 0.0
+    south = -reach if -axis_y >= least or not narrow else reach * min(0.0, right_y, left_y) - cell
+    north = reach if axis_y >= least or not narrow else reach * max(0.0, right_y, left_y) + cell
+    for b in range(int(np.floor((y + south) * cells_per_m)), int(np.floor((y + north) * cells_per_m)) + 1):
         dy = (b + 0.5) * cell - y
         half_chord2 = reach * reach - dy * dy
         if half_chord2 < 0.0 and b != home_j:
             continue
         half_chord = math.sqrt(max(half_chord2, 0.0))
-        for a in range(
-            int(np.floor((x - half_chord) * cells_per_m)), int(np.floor((x + half_chord) * cells_per_m)) + 1
-        ):
+        west, east = -half_chord, half_chord
+        if narrow:
+            west, east = clipped(west, east, dy, right_x, right_y, 1.0)
+            west, east = clipped(west, east, dy, left_x, left_y, -1.0)
+            west, east = west - cell, east + cell
+        if b == home_j:
+            west, east = min(west, -cell), max(east, cell)
+        elif west > east:
+            continue
+        for a in range(int(np.floor((x + west) * cells_per_m)), int(np.floor((x + east) * cells_per_m)) + 1):
             dx = (a + 0.5) * cell - x
             distance = math.sqrt(dx * dx + dy * dy)
             home = a == home_i and b == home_j

@@ -8,6 +8,7 @@ from typing import Any
 from terrafuse.errors import InputError
 from terrafuse.models.base import Layer, Model, Observer, Patch, Reading, fold, patch_of
 from terrafuse.models.elevation import Elevation
+from terrafuse.models.grey import Grey
 from terrafuse.models.terrain import Terrain
 
 MODELS: dict[str, Callable[..., Model]] = {"elevation": Elevation, "terrain": Terrain}

@@ -11,7 +11,7 @@ from terrafuse.models.elevation import Elevation
 from terrafuse.models.grey import Grey
 from terrafuse.models.terrain import Terrain
 
-MODELS: dict[str, Callable[..., Model]] = {"elevation": Elevation, "terrain": Terrain}
+MODELS: dict[str, Callable[..., Model]] = {"elevation": Elevation, "grey": Grey, "terrain": Terrain}
 
 
 def make_model(name: str, settings: Mapping[str, Any] | None = None) -> Model:

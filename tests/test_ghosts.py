@@ -126,7 +126,7 @@ def paged(story: Story, folder: Path, static: bool = False) -> Replica:
     model = make_model("elevation", {"static": static})
     with SqliteStore.create(folder / f"{hash((story, static))}.db", SMALL_TILES, model) as store:
         archive = WriteBehind(store)
-        mapper = Mapper("r1", SMALL_TILES, model, Tiles3x3(SMALL_TILES.tile_m), archive)
+        mapper = Mapper("r1", SMALL_TILES, model, Tiles3x3(SMALL_TILES), archive)
         for look in scans_of(story):
             mapper.integrate(look)
         # The story is worth its name only if the stage went out to the disk and came back.

@@ -56,7 +56,7 @@ def test_a_long_drive_stays_under_a_bound_and_equals_the_unpaged_map(tmp_path: P
     bound = np.ceil((4.5 * 40 + 2 * reach_m) / 40) * np.ceil((3 * 40 + 2 * reach_m) / 40)
     with SqliteStore.create(tmp_path / "map.db", lattice, MODEL) as store:
         archive = WriteBehind(store)
-        mapper = Mapper("r1", lattice, MODEL, Tiles3x3(lattice.tile_m), archive)
+        mapper = Mapper("r1", lattice, MODEL, Tiles3x3(lattice), archive)
         most = []
         for scan in scans:
             mapper.integrate(scan)
@@ -77,7 +77,7 @@ def test_walking_along_a_border_does_not_thrash() -> None:
     """To and fro over a tile border for 400 scans: the window moves once, and nothing is ever loaded again."""
     lattice = Lattice(0.5)
     rng = np.random.default_rng(3)
-    mapper = Mapper("r1", lattice, MODEL, Tiles3x3(lattice.tile_m), MemoryStore(lattice, MODEL))
+    mapper = Mapper("r1", lattice, MODEL, Tiles3x3(lattice), MemoryStore(lattice, MODEL))
     for k in range(400):
         points = rng.uniform(-15, 15, (200, 3)) * (1, 1, 0.01)
         pose = Pose.identity().shifted(40.0 + 2 * np.sin(k), 40.0 + 2 * np.cos(1.7 * k))
@@ -91,7 +91,7 @@ def test_coming_back_loads_what_was_there() -> None:
     there = drive(40, 10.0)
     scans = there + [Scan(s.stamp_ns + 100 * SECOND_NS, s.points, s.T_world_sensor) for s in there[::-1]]
     store = MemoryStore(lattice, MODEL)
-    mapper = Mapper("r1", lattice, MODEL, Tiles3x3(lattice.tile_m), store)
+    mapper = Mapper("r1", lattice, MODEL, Tiles3x3(lattice), store)
     for scan in scans:
         mapper.integrate(scan)
     mapper.commit()
@@ -101,7 +101,7 @@ def test_coming_back_loads_what_was_there() -> None:
 
 def test_deltas_reach_back_to_tiles_that_left() -> None:
     lattice = Lattice(0.5)
-    mapper = Mapper("r1", lattice, MODEL, Tiles3x3(lattice.tile_m), MemoryStore(lattice, MODEL))
+    mapper = Mapper("r1", lattice, MODEL, Tiles3x3(lattice), MemoryStore(lattice, MODEL))
     for scan in drive(40, 10.0):
         mapper.integrate(scan)
     assert mapper.paging.evictions > 0
@@ -136,11 +136,11 @@ def test_delta_since_holds_exactly_what_changed(cuts: list[int], seed: int) -> N
 def test_a_restarted_robot_goes_on_where_its_archive_ends(tmp_path: Path) -> None:
     lattice, scans = Lattice(0.5), drive(30, 8.0)
     with SqliteStore.create(tmp_path / "map.db", lattice, MODEL) as store:
-        first = Mapper("r1", lattice, MODEL, Tiles3x3(lattice.tile_m), store)
+        first = Mapper("r1", lattice, MODEL, Tiles3x3(lattice), store)
         for scan in scans[:17]:
             first.integrate(scan)  # what was not committed by paging is lost with the process
     with SqliteStore.open(tmp_path / "map.db") as store:
-        second = Mapper("r1", lattice, MODEL, Tiles3x3(lattice.tile_m), store)
+        second = Mapper("r1", lattice, MODEL, Tiles3x3(lattice), store)
         assert 0 < second.revision < 17
         for scan in scans[second.revision :]:
             second.integrate(scan)
@@ -183,17 +183,17 @@ def test_robot_names_are_checked(name: str) -> None:
 
 def test_a_window_that_drops_needs_an_archive() -> None:
     with pytest.raises(InputError, match="archive"):
-        Mapper("r1", Lattice(0.5), MODEL, Tiles3x3(40.0))
-    Mapper("r1", Lattice(0.5), MODEL, KeepAll(40.0))
+        Mapper("r1", Lattice(0.5), MODEL, Tiles3x3(Lattice(0.5)))
+    Mapper("r1", Lattice(0.5), MODEL, KeepAll(Lattice(0.5)))
 
 
 def test_a_load_that_fails_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     lattice, store = Lattice(0.5), MemoryStore(Lattice(0.5), MODEL)
     spot = Scan(0, np.full((50, 3), 0.1), Pose.identity())
-    first = Mapper("r1", lattice, MODEL, Tiles3x3(40.0), store)
+    first = Mapper("r1", lattice, MODEL, Tiles3x3(Lattice(0.5)), store)
     first.integrate(spot)
     first.commit()
-    second = Mapper("r1", lattice, MODEL, Tiles3x3(40.0), store)
+    second = Mapper("r1", lattice, MODEL, Tiles3x3(Lattice(0.5)), store)
     with monkeypatch.context() as broken:
         broken.setattr(store, "load", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
@@ -209,7 +209,7 @@ def test_a_mapper_on_a_busy_archive_sees_what_still_waits(tmp_path: Path) -> Non
         archive = WriteBehind(store)
         with store._lock:  # the writer can't get on
             for scan in random_scans(1, 2):
-                mapper = Mapper("r1", Lattice(0.5), static, Tiles3x3(40.0), archive)
+                mapper = Mapper("r1", Lattice(0.5), static, Tiles3x3(Lattice(0.5)), archive)
                 mapper.integrate(scan)
                 mapper.commit()
         archive.close()
@@ -220,7 +220,7 @@ def test_a_mapper_on_a_busy_archive_sees_what_still_waits(tmp_path: Path) -> Non
 def test_clouds_in_world_coordinates_page_too() -> None:
     """Airborne tiles have no sensor pose: the window follows what they cover."""
     lattice = Lattice(0.5)
-    mapper = Mapper("air", lattice, MODEL, Tiles3x3(lattice.tile_m), MemoryStore(lattice, MODEL))
+    mapper = Mapper("air", lattice, MODEL, Tiles3x3(lattice), MemoryStore(lattice, MODEL))
     for k in range(10):
         corner = np.array([500_000 + 400 * k, 4_000_000, 0])
         points = corner + np.random.default_rng(k).uniform(0, 30, (100, 3))

@@ -24,6 +24,11 @@ class MapSettings(BaseModel):
     origin_m: tuple[float, float] | None = None
     """East and north, in the CRS, of the origin of logs that are not georeferenced."""
     window: str = "tiles3x3"
+    """A name of `terrafuse.window.WINDOWS`, with options as in `radius?range_m=8&speed_mps=0.3`."""
+    sensors: dict[str, str] = Field(default_factory=dict)
+    """By robot, what describes its sensor: a preset's name or a YAML file. Robots without one go by their log."""
+    global_factor: int = Field(1, ge=1)
+    """Cells along the side of a cell of the coarser global map; 1 makes none."""
     commit_scans: int = Field(25, ge=1)
     """Scans between two commits: what a crash can cost."""
 

@@ -17,7 +17,11 @@ from terrafuse.models.base import AnyPatch, Model
 from terrafuse.store.base import PathPoint
 from terrafuse.tile import Tile
 from terrafuse.types import Pose, Scan, TileKey, checked_pose, is_rigid
-from terrafuse.window import KeepAll, Window
+from terrafuse.window import Allocation, KeepAll, Residency, Window
+
+LEAVING_SHARE = 4
+"""Tiles that left the window are written once they are a quarter of those in memory: windows that move at every scan
+shed tiles one by one, and a commit for each would cost more than the memory that it frees."""
 
 
 class Archive(Protocol):
@@ -50,8 +54,15 @@ class Paging:
     """What the window cost so far."""
 
     loads: int = 0
+    """Tiles read back from the archive."""
     evictions: int = 0
+    """Tiles dropped from memory."""
+    writes: int = 0
+    """Tiles written, each time with the cells that had changed."""
+    commits: int = 0
+    """Transactions that they were written in."""
     most_resident: int = 0
+    """Tiles in memory at once."""
     most_bytes: int = 0
 
 
@@ -82,7 +93,8 @@ class Mapper:
         self.seconds = {"observe": 0.0, "load": 0.0, "merge": 0.0, "evict": 0.0}
         """Time spent, by stage."""
         self._observe = self.model.observer(lattice)
-        self._window = window or KeepAll(lattice.tile_m)
+        self._window = Residency(window or KeepAll(lattice))
+        self._leaving: set[TileKey] = set()
         self._archive = archive
         self._resident: dict[TileKey, Tile] = {}
         self._revisions = archive.revisions(robot) if archive else {}
@@ -119,8 +131,7 @@ class Mapper:
         if self._archive is not None:
             self._path.append(PathPoint(scan.stamp_ns, scan.T_world_sensor))
         t3 = perf_counter()
-        if self._window.move(*self._whereabouts(scan, patch)):
-            self._evict(keep=set(patch.keys))
+        self._page(patch.keys, *self._whereabouts(scan, patch))
         for stage, seconds in zip(self.seconds, (t1 - t0, t2 - t1, t3 - t2, perf_counter() - t3), strict=True):
             self.seconds[stage] += seconds
         return Integrated(self._revision, patch.points, patch.dropped, patch.cells, len(patch.keys))
@@ -163,9 +174,24 @@ class Mapper:
         delta = self.delta(self._committed)
         if self._archive is not None and self._revision > self._committed:
             self._archive.accept(delta, self._path)
+            self.paging.commits += 1
+            self.paging.writes += len(delta.tiles)
         self._committed = self._revision
         self._path = []
+        self._drop_leaving()
         return delta
+
+    def allocation(self) -> Allocation:
+        """What the window claimed and what of it was seen. Looks at every tile: a question for the end."""
+        cells = self.lattice.tile_cells**2
+        claimed = self._window.visited | self._revisions.keys()
+        return Allocation(
+            window_cells=len(claimed) * cells,
+            allocated_cells=len(self._revisions) * cells,
+            observed_cells=sum(len(self._changed(key, 0).at) for key in self._revisions),
+            most_window_cells=max(self._window.most_tiles, self.paging.most_resident) * cells,
+            most_allocated_cells=self.paging.most_resident * cells,
+        )
 
     def _changed(self, key: TileKey, since: int) -> TileCells:
         if key in self._resident:
@@ -195,15 +221,22 @@ class Mapper:
             self.paging.most_bytes = max(self.paging.most_bytes, self.resident_bytes)
         return tile
 
-    def _evict(self, keep: set[TileKey]) -> None:
-        """Drop what left the window, except what this very scan touched: the next one will, too.
+    def _page(self, touched: Iterable[TileKey], east_m: float, north_m: float) -> None:
+        """Let what left the window go once it is worth a commit; at any other commit it goes for nothing.
 
-        All that is new is committed first, not only the dropped tiles: every state of the archive is then the map after
-        some scan, from which a restarted robot can go on.
+        Not what this very scan touched: the next one will, too.
         """
-        gone = [key for key in self._resident if key not in keep and not self._window.holds(key)]
-        if gone and self._archive is not None:
-            self.commit()
-            for key in gone:
-                del self._resident[key]
-            self.paging.evictions += len(gone)
+        if self._window.move(east_m, north_m):
+            self._leaving = {key for key in self._resident if key not in self._window.area}
+        if self._leaving:
+            self._leaving.difference_update(touched)
+            if len(self._leaving) * LEAVING_SHARE >= len(self._resident):
+                self.commit()
+
+    def _drop_leaving(self) -> None:
+        """After a commit. That wrote all that was new, not only these tiles: every state of the archive is then the map
+        after some scan, from which a restarted robot can go on."""
+        for key in self._leaving:
+            del self._resident[key]
+        self.paging.evictions += len(self._leaving)
+        self._leaving = set()

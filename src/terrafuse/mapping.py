@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from terrafuse import crs
+from terrafuse import crs, plugins
 from terrafuse.config import MapSettings
 from terrafuse.errors import InputError, OutputError, StoreMismatch
 from terrafuse.lattice import Lattice, default_tile_m
@@ -28,6 +28,8 @@ from terrafuse.logs.base import Log, Record, parse_source
 from terrafuse.mapper import Mapper
 from terrafuse.models import make_model
 from terrafuse.models.base import Model
+from terrafuse.sense import Sensor, applied, load_sensor, undescribed
+from terrafuse.sense.describe import content
 from terrafuse.store.behind import WriteBehind
 from terrafuse.store.sqlite import SqliteStore, remove_store
 from terrafuse.types import Scan
@@ -43,6 +45,8 @@ class RobotReport:
 
     log: str
     reader: str
+    sensor: str | None = None
+    """The name in its description, where it was described."""
     scans: int = 0
     resumed_scans: int = 0
     """Of these, taken over from a run that was cut short."""
@@ -56,7 +60,12 @@ class RobotReport:
     distance_m: float = 0.0
     loads: int = 0
     evictions: int = 0
+    writes: int = 0
+    commits: int = 0
+    most_resident: int = 0
     most_tile_bytes: int = 0
+    allocation: dict[str, float] = field(default_factory=dict)
+    """See `Allocation`; the window's claims are this run's, without scans that were taken over."""
     touched_cells: int = 0
     """Cells that each scan touched, added up over the scans."""
 
@@ -71,13 +80,19 @@ class Plan:
     settings: MapSettings
     lattice: Lattice
     model: Model
+    sensors: Mapping[str, Sensor] = field(default_factory=dict)
+    """Of the robots whose sensor is described."""
 
     @property
     def fingerprint(self) -> dict[str, Any]:
         """What must be equal for an unfinished run to go on: all that decides what a scan's revision holds."""
         return {
-            "settings": self.settings.model_dump(mode="json", exclude={"commit_scans", "window"}),
+            "settings": self.settings.model_dump(
+                mode="json", exclude={"commit_scans", "window", "sensors", "global_factor"}
+            ),
+            "sensors": {name: content(sensor) for name, sensor in self.sensors.items()},
             "model": self.model.settings(),
+            "plugins": plugins.fingerprints(),
             "logs": {name: [self._read_as(name), _content(log.path)] for name, log in self.logs.items()},
         }
 
@@ -97,14 +112,27 @@ def plan(sources: Mapping[str, str], settings: MapSettings) -> Plan:
         raise InputError("no logs: give at least one NAME=LOG")
     tile_m = settings.tile_m or default_tile_m(settings.resolution_m)
     lattice = Lattice(settings.resolution_m, tile_m)
+    lattice.coarser(settings.global_factor)
     model = make_model(settings.model, settings.model_settings)
-    make_window(settings.window, tile_m)
+    make_window(settings.window, lattice)
     parsed = {name: parse_source(text) for name, text in sources.items()}
     logs = {name: open_log(source) for name, source in parsed.items()}
     _check_frames(logs, settings)
+    sensors = _sensors(settings.sensors, logs)
     stated = {f"{name} ({log.path})": log.crs for name, log in logs.items()}
     options = {name: source.options for name, source in parsed.items()}
-    return Plan(logs, options, settings, replace(lattice, crs=crs.common(settings.crs, stated)), model)
+    return Plan(logs, options, settings, replace(lattice, crs=crs.common(settings.crs, stated)), model, sensors)
+
+
+def _sensors(described: Mapping[str, str], logs: Mapping[str, Log]) -> dict[str, Sensor]:
+    for name in described:
+        if logs[name].georeferenced:
+            raise InputError(
+                f"{name}: {logs[name].path} holds points in the map's frame, not a sensor's readings; "
+                "say whose sensor is described: --sensor NAME=…"
+            )
+    loaded = {text: load_sensor(text) for text in set(described.values())}
+    return {name: loaded[text] for name, text in sorted(described.items())}
 
 
 def _check_frames(logs: Mapping[str, Log], settings: MapSettings) -> None:
@@ -133,7 +161,7 @@ def open_partial(path: Path, run: Plan, overwrite: bool = False) -> SqliteStore:
             remove_store(path)
             return open_partial(path, run)
         raise StoreMismatch(
-            f"{path}: an unfinished run with other logs or settings; run that again to finish it, "
+            f"{path}: an unfinished run with other logs or settings, or other plug-ins; run that again to finish it, "
             "or start afresh with --overwrite, or choose another --out"
         )
     return store
@@ -163,23 +191,31 @@ def _map_robot(
     archive = WriteBehind(store)
     started = time.perf_counter()
     try:
-        mapper = Mapper(name, run.lattice, run.model, make_window(run.settings.window, run.lattice.tile_m), archive)
+        mapper = Mapper(name, run.lattice, run.model, make_window(run.settings.window, run.lattice), archive)
         report = RobotReport(str(run.logs[name].path), run.logs[name].reader, resumed_scans=mapper.revision)
         _integrate_all(mapper, run, report, progress, stop)
         mapper.commit()
     finally:
         archive.close()
-    report.seconds |= mapper.seconds
-    report.loads, report.evictions = mapper.paging.loads, mapper.paging.evictions
-    report.most_tile_bytes = mapper.paging.most_bytes
     report.wall_seconds = time.perf_counter() - started
+    _tell_paging(report, mapper)
+    report.seconds |= mapper.seconds
     return report
+
+
+def _tell_paging(report: RobotReport, mapper: Mapper) -> None:
+    paging, allocation = mapper.paging, mapper.allocation()
+    report.loads, report.evictions = paging.loads, paging.evictions
+    report.writes, report.commits = paging.writes, paging.commits
+    report.most_resident, report.most_tile_bytes = paging.most_resident, paging.most_bytes
+    report.allocation = allocation.as_json()
 
 
 def _integrate_all(
     mapper: Mapper, run: Plan, report: RobotReport, progress: Progress | None, stop: threading.Event
 ) -> None:
-    log = run.logs[mapper.robot]
+    log, sensor = run.logs[mapper.robot], run.sensors.get(mapper.robot)
+    report.sensor = sensor.name if sensor else None
     clock = report.seconds
     clock["read"] = clock["commit"] = 0.0
     position: np.ndarray[Any, Any] | None = None
@@ -187,17 +223,19 @@ def _integrate_all(
         if stop.is_set():
             return
         if isinstance(record, Scan):
-            scan = _placed(record, log, run.settings)
+            placed = _placed(record, log, run.settings)
+            scan = applied(sensor, placed) if sensor else undescribed(placed)
             here = scan.T_world_sensor.position
             report.distance_m += float(np.linalg.norm(here - position)) if position is not None else 0.0
             position = here
             report.scans += 1
-            report.points += len(scan.points)
+            report.points += len(record.points)
             if report.scans <= report.resumed_scans:
-                report.resumed_points += len(scan.points)
+                report.resumed_points += len(record.points)
             else:
                 done = mapper.integrate(scan)
                 report.touched_cells += done.cells
+                report.dropped.update(scan.dropped)
                 report.dropped.update(done.dropped)
                 if done.revision % run.settings.commit_scans == 0:
                     t0 = time.perf_counter()

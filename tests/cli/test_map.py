@@ -64,7 +64,7 @@ def test_info_shows_the_same_map(mapped: Path) -> None:
     assert report["map"]["digest"] in text.out
 
 
-@pytest.mark.parametrize("window", ["all", "tiles3x3"])
+@pytest.mark.parametrize("window", ["all", "tiles3x3", "nine_block", "radius?range_m=28", "centred?cells=290"])
 def test_the_window_makes_no_difference(logs: dict[str, Path], mapped: Path, tmp_path: Path, window: str) -> None:
     ran = terrafuse(
         "map", *(f"{name}={log}" for name, log in logs.items()), "--resolution", "0.2", "--tile", "4",

@@ -41,6 +41,14 @@ REPORT: dict[str, Any] = {
             "distance_m": 4.31,
             "loads": 7,
             "evictions": 5,
+            "writes": 12,
+            "most_resident": 9,
+            "allocation": {
+                "window_cells": 2_560_000,
+                "allocated_cells": 640_000,
+                "observed_of_window": 0.1191,
+                "observed_of_allocated": 0.4766,
+            },
         },
         EVIL: {"log": EVIL, "scans": 1, "dropped": {EVIL: 1}, "seconds": {EVIL: 1.0}},
     },
@@ -89,9 +97,10 @@ def test_everything_is_in_its_table(tmp_path: Path) -> None:
         "4.31 m",
         "3",
         "1.2 MB",
-        "7",
-        "5",
     ]
+    windows = table(root, "Windows")
+    assert windows[1] == ["alpha", "2,560,000", "11.9%", "640,000", "47.7%", "9", "7", "12", "5"]
+    assert windows[2][1:] == [""] * 8
     assert robots[2][0] == EVIL
     assert ["alpha", "points dropped", "not finite", "12"] in table(root, "Points dropped, scans skipped")
     assert ["alpha", "scans skipped", "no pose", "2"] in table(root, "Points dropped, scans skipped")

@@ -19,6 +19,10 @@ LOG_HELP = (
     "A robot's name and its log: a ROS 1/2 bag or MCAP file, a KITTI folder, a folder of clouds with a TUM trajectory, "
     "LAS/LAZ, a CARMEN log, an Argoverse 2 log. Options follow the path: r1=drive.mcap?topic=/lidar"
 )
+WINDOW_HELP = (
+    "Tiles that a robot keeps in memory: tiles3x3, nine_block, radius?range_m=50&period_s=0.1&speed_mps=20, "
+    "centred?cells=320 or all. The numbers are the defaults."
+)
 
 
 def map_(
@@ -33,7 +37,7 @@ def map_(
     origin: Annotated[
         str | None, typer.Option(metavar="E,N", help="Where the origin of logs in a local frame lies, in the CRS.")
     ] = None,
-    window: Annotated[str, typer.Option(help="Tiles that a robot keeps in memory: tiles3x3 or all.")] = "tiles3x3",
+    window: Annotated[str, typer.Option(help=WINDOW_HELP)] = "tiles3x3",
     max_range: Annotated[
         float | None, typer.Option(help="Drop points further than this from the sensor, metres.  [default: keep all]")
     ] = None,
@@ -77,6 +81,7 @@ def _tell_map(report: dict[str, Any], out: Path) -> None:
             f"{name}: {robot['scans']} scans{note}, {robot['points'] / 1e6:.2f} M points, "
             f"{robot['distance_m']:.0f} m, deltas {bytes_text(report['delta_bytes_per_robot'][name])}"
         )
+        _tell_window(robot)
     say(
         f"map: {report['cells']:,} cells of {report['map']['resolution_m']:g} m in {report['tiles']} tiles, "
         f"{report['points_per_second'] / 1e6:.1f} M points/s"
@@ -85,6 +90,15 @@ def _tell_map(report: dict[str, Any], out: Path) -> None:
     if n is not None and n < SPARSE:
         say(f"hint: {n:.1f} points a cell leave gaps; a coarser --resolution gives a fuller map")
     say("wrote " + ", ".join(str(out / file) for file in report["files"].values()))
+
+
+def _tell_window(robot: dict[str, Any]) -> None:
+    held = robot["allocation"]
+    say(
+        f"  window: {held['window_cells']:,} cells, {held['observed_of_window']:.1%} of them observed; "
+        f"allocated {held['allocated_cells']:,}, {held['observed_of_allocated']:.1%} observed; "
+        f"at most {robot['most_resident']} tiles in memory, {robot['loads']} loaded, {robot['writes']} written"
+    )
 
 
 def info(store: StoreFile, json: Json = False) -> None:

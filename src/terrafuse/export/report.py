@@ -96,6 +96,7 @@ def _body(report: Mapping[str, Any], image: str) -> str:
             _facts(report),
             f'<figure><img alt="The map, seen from above" src="data:image/png;base64,{image}"/></figure>',
             _section("Robots", _robots(report)),
+            _section("Windows", _windows(report)),
             _section("Points dropped, scans skipped", _losses(report)),
             _section("Map", _map(report)),
             _section("Layers", _layers(report)),
@@ -130,12 +131,12 @@ def _facts(report: Mapping[str, Any]) -> str:
 
 
 def _robots(report: Mapping[str, Any]) -> str:
-    head = ["robot", "log", "scans", "points", "points/s", "scans/s", "distance", "deltas", "bytes", "loads", "evicted"]
+    head = ["robot", "log", "scans", "points", "points/s", "scans/s", "distance", "deltas", "bytes"]
     delta_bytes = report.get("delta_bytes_per_robot", {})
     rows: list[Row] = [
         [
             name,
-            " ".join(str(robot[key]) for key in ("log", "reader") if robot.get(key)),
+            " ".join(str(robot[key]) for key in ("log", "reader", "sensor") if robot.get(key)),
             Number(_count(robot.get("scans"))),
             Number(_count(robot.get("points"))),
             Number(_count(robot.get("points_per_second"))),
@@ -143,12 +144,32 @@ def _robots(report: Mapping[str, Any]) -> str:
             Number(f"{_short(robot['distance_m'])} m" if "distance_m" in robot else ""),
             Number(_count(robot.get("deltas"))),
             Number(_bytes(delta_bytes.get(name))),
-            Number(_count(robot.get("loads"))),
-            Number(_count(robot.get("evictions"))),
         ]
         for name, robot in _robots_of(report).items()
     ]
     return _table(head, rows)
+
+
+PAGING = {"most_resident": "tiles in memory", "loads": "loads", "writes": "writes", "evictions": "evicted"}
+
+
+def _windows(report: Mapping[str, Any]) -> str:
+    """How much was allocated, how much of it was ever seen, and what the paging cost."""
+    head = ["robot", "cells in the window", "observed", "cells allocated", "observed", *PAGING.values()]
+    rows: list[Row] = [
+        [name, *_allocation(robot.get("allocation", {})), *(Number(_count(robot.get(key))) for key in PAGING)]
+        for name, robot in _robots_of(report).items()
+    ]
+    return _table(head, rows)
+
+
+def _allocation(held: Mapping[str, float]) -> list[Number]:
+    cells = {"window_cells": "observed_of_window", "allocated_cells": "observed_of_allocated"}
+    return [
+        number
+        for of, ratio in cells.items()
+        for number in (Number(_count(held.get(of))), Number(f"{held[ratio]:.1%}" if ratio in held else ""))
+    ]
 
 
 def _losses(report: Mapping[str, Any]) -> str:

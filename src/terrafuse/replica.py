@@ -81,7 +81,10 @@ class Replica:
         return self.store.keys()
 
     def cells(self, key: TileKey) -> Array:
-        """The global cells of a tile, (T, T) records, [j, i]; unknown where nobody reported. Read-only."""
+        """The global cells of a tile, (T, T) records, [j, i]; unknown where nobody reported. Read-only.
+
+        A known cell's revision is 1, whatever its robots' ones are.
+        """
         version = self.store.version()
         if version != self._version:
             self._cache.clear()  # whoever wrote: the map is what the store holds now
@@ -107,6 +110,8 @@ class Replica:
             for cells, part in zip(stack, held, strict=True):
                 opaque(cells)[np.searchsorted(somewhere, part.at)] = opaque(part.cells)
             opaque(fused)[somewhere] = opaque(fold(self.model, stack, self.lattice))
+        # A revision counts one robot's scans: where evidence just adds, who saw what must not show in the map.
+        fused["revision"] = np.minimum(fused["revision"], 1)
         fused.flags.writeable = False
         return fused.reshape(side, side)
 

@@ -38,6 +38,8 @@ class Look:
     """Whether the values are kinds, named in the layer's description as '1 flat, 2 vertical'."""
     clock: bool = False
     """Whether the values are seconds since 1970 UTC."""
+    unknown: str = "#eceef1"
+    """The colour of what nobody saw, which must not pass for a value."""
 
 
 def look_of(layer: Layer) -> Look:
@@ -105,6 +107,7 @@ LOOKS: dict[str, Look] = {
     "n": Look(_named("cividis"), _counts),
     "traversability": Look(_named("viridis"), _share),
     "dynamic": Look(_named("inferno"), _share),
+    "occupancy": Look(_named("gray_r"), _share, unknown="#bcc3cc"),
     "stamp": Look(_named("viridis"), _robust, clock=True),
 }
 """Layers with a look of their own, in any model; add yours with `LOOKS["mine"] = Look(...)`."""

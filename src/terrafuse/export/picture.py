@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DPI = 100
-UNKNOWN, INK, QUIET, EDGE = "#eceef1", "#22272e", "#68717d", "#b6bcc5"
+INK, QUIET, EDGE = "#22272e", "#68717d", "#b6bcc5"
 SMALL: dict[str, Any] = {"fontsize": 8, "color": QUIET, "va": "center", "parse_math": False}
 EXTEND = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}
 """Which ends of the colour bar are pointed, by whether values lie below and above it."""
@@ -110,8 +110,8 @@ def _axes(figure: Figure, sheet: Sheet, left: float, bottom: float, width: float
 
 def _draw_map(figure: Figure, sheet: Sheet, subject: Subject) -> Axes:
     axes = _axes(figure, sheet, sheet.left, sheet.bottom, sheet.map_width, sheet.map_height)
-    axes.set_facecolor(UNKNOWN)
     look, image = look_of(subject.layer), subject.image
+    axes.set_facecolor(look.unknown)
     values = image[~np.isnan(image)]
     if len(values):
         norm = look.scale(values)

@@ -9,9 +9,15 @@ from terrafuse.errors import InputError
 from terrafuse.models.base import Layer, Model, Observer, Patch, Reading, fold, patch_of
 from terrafuse.models.elevation import Elevation
 from terrafuse.models.grey import Grey
+from terrafuse.models.occupancy import Occupancy
 from terrafuse.models.terrain import Terrain
 
-MODELS: dict[str, Callable[..., Model]] = {"elevation": Elevation, "grey": Grey, "terrain": Terrain}
+MODELS: dict[str, Callable[..., Model]] = {
+    "elevation": Elevation,
+    "grey": Grey,
+    "occupancy": Occupancy,
+    "terrain": Terrain,
+}
 
 
 def make_model(name: str, settings: Mapping[str, Any] | None = None) -> Model:

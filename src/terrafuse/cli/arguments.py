@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from terrafuse.errors import InputError
@@ -27,6 +27,26 @@ def robots(arguments: Sequence[str]) -> dict[str, str]:
             raise InputError(f"robot '{name}' is given twice ({out[name]} and {log}); names tell contributions apart")
         out[name] = log
     return out
+
+
+def by_robot(option: str, texts: Sequence[str], names: Iterable[str]) -> dict[str, str]:
+    """NAME=VALUE… and at most one bare VALUE, which is for all that are not named → {name: value}.
+
+    Raises InputError for a name that is no robot's and for two values for one.
+    """
+    robots_ = list(names)
+    out: dict[str, str] = {}
+    for text in texts:
+        match = _NAMED.match(text)
+        name, value = match.groups() if match else ("", text)
+        if name and name not in robots_:
+            raise InputError(f"{option} {text}: there is no robot '{name}'; there are {', '.join(robots_)}")
+        if name in out:
+            whose = f"robot '{name}'" if name else "all robots"
+            raise InputError(f"{option} is given twice for {whose} ({out[name]} and {value}); keep one")
+        out[name] = value
+    bare = out.pop("", None)
+    return out if bare is None else dict.fromkeys(robots_, bare) | out
 
 
 def numbers(text: str | None, names: str) -> tuple[float, ...] | None:

@@ -24,6 +24,11 @@ WINDOW_HELP = (
     "centred?cells=320 or all. The numbers are the defaults."
 )
 
+SENSOR_HELP = (
+    "The sensor's description: a YAML file or the name of a preset, for all robots or for one, like r1=my.yaml; "
+    "repeatable. docs/sensors.md lists the presets, and so does a name that there is none of."
+)
+
 
 def map_(
     logs: Annotated[list[str], typer.Argument(metavar="NAME=LOG…", help=LOG_HELP)],
@@ -41,6 +46,7 @@ def map_(
     max_range: Annotated[
         float | None, typer.Option(help="Drop points further than this from the sensor, metres.  [default: keep all]")
     ] = None,
+    sensor: Annotated[list[str] | None, typer.Option(metavar="[NAME=]FILE", help=SENSOR_HELP)] = None,
     static: Annotated[
         bool, typer.Option("--static", help="Plain statistics: nothing moves, no ghosts to remove.")
     ] = False,
@@ -63,6 +69,7 @@ def map_(
         crs=crs,
         origin_m=arguments.numbers(origin, "EAST,NORTH"),
         window=window,
+        sensors=arguments.by_robot("--sensor", sensor or (), named),
     )
     plan = mapping.plan(named, settings)
     with log_progress() as progress:

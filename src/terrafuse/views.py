@@ -14,6 +14,7 @@ import numpy as np
 
 from terrafuse.errors import InputError
 from terrafuse.models.base import Layer
+from terrafuse.models.layers import layers_of
 from terrafuse.replica import Replica
 from terrafuse.tile import opaque
 from terrafuse.types import Array, Bounds, Floats, TileKey
@@ -34,8 +35,8 @@ MAX_ARRAY_CELLS = 2**30
 
 
 def chosen_layers(replica: Replica, names: Sequence[str] | None) -> list[Layer]:
-    """The layers of these names, all of the model's by default; raises InputError for one that there is not."""
-    layers = replica.model.layers
+    """The layers of these names, all there are by default; raises InputError for one that there is not."""
+    layers = layers_of(replica.model)
     for name in names or ():
         if name not in layers:
             raise InputError(f"the model '{replica.model.name}' has no layer '{name}'; it has: {', '.join(layers)}")

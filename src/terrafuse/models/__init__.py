@@ -9,8 +9,10 @@ from terrafuse.errors import InputError
 from terrafuse.models.base import Layer, Model, Observer, Patch, Reading, fold, patch_of
 from terrafuse.models.elevation import Elevation
 from terrafuse.models.grey import Grey
+from terrafuse.models.layers import LAYERS, layers_of
 from terrafuse.models.occupancy import Occupancy
 from terrafuse.models.terrain import Terrain
+from terrafuse.plugins import HINT
 
 MODELS: dict[str, Callable[..., Model]] = {
     "elevation": Elevation,
@@ -23,11 +25,13 @@ MODELS: dict[str, Callable[..., Model]] = {
 def make_model(name: str, settings: Mapping[str, Any] | None = None) -> Model:
     """The model of this name with these settings; raises InputError for a name or a setting that there is none of."""
     if name not in MODELS:
-        raise InputError(f"no cell model '{name}'; there are: {', '.join(sorted(MODELS))}")
+        raise InputError(f"no cell model '{name}'; there are: {', '.join(sorted(MODELS))}; {HINT}")
     try:
         return MODELS[name](**dict(settings or {}))
     except TypeError as error:
         raise InputError(f"cell model '{name}' has no such setting: {error}") from error
 
 
-__all__ = ["MODELS", "Layer", "Model", "Observer", "Patch", "Reading", "fold", "make_model", "patch_of"]
+__all__ = [
+    "LAYERS", "MODELS", "Layer", "Model", "Observer", "Patch", "Reading", "fold", "layers_of", "make_model", "patch_of",
+]  # fmt: skip

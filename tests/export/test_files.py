@@ -15,6 +15,7 @@ from terrafuse.export.files import final
 from terrafuse.replica import Replica
 
 FORMATS = [(name, exporter.suffixes[0]) for name, exporter in EXPORTERS.items()]
+ONE_FILE = [(name, suffix) for name, suffix in FORMATS if name != "ros-map"]  # that one has an image beside it
 
 
 def raise_error(number: int):
@@ -102,7 +103,7 @@ def test_devices_and_folders_are_not_replaced(tmp_path: Path) -> None:
     assert not Path(os.devnull).is_file()
 
 
-@pytest.mark.parametrize(("name", "suffix"), FORMATS)
+@pytest.mark.parametrize(("name", "suffix"), ONE_FILE)
 def test_every_format_writes_safely(
     name: str, suffix: str, local_map: Replica, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from terrafuse import __version__
-from terrafuse.cli import commands
+from terrafuse.cli import commands, compare, importing
 from terrafuse.cli.output import fail
 from terrafuse.errors import InputError, TerrafuseError
 
@@ -27,6 +27,8 @@ app.command("demo")(commands.demo)
 app.command("map")(commands.map_)
 app.command("info")(commands.info)
 app.command("export")(commands.export)
+app.command("import")(importing.import_)
+app.command("compare")(compare.compare_)
 
 
 INTERRUPTED = 130

@@ -148,15 +148,27 @@ def _tell_info(facts: dict[str, Any]) -> None:
 def export(
     store: StoreFile,
     out: Annotated[Path, typer.Option("--out", help="The file to write.")],
-    format: Annotated[str | None, typer.Option(help="cog, png or npz.  [default: by the file's ending]")] = None,
+    format: Annotated[
+        str | None, typer.Option(help="cog, png, npz or ros-map.  [default: by the file's ending]")
+    ] = None,
     layer: Annotated[
-        list[str] | None, typer.Option(help="A layer; may be given several times.  [default: all]")
+        list[str] | None, typer.Option(help="A layer; repeatable.  [default: all; ros-map: how surely occupied]")
     ] = None,
     bounds: Annotated[str | None, typer.Option(metavar="W,S,E,N", help="Part of the map, metres.")] = None,
     only: Annotated[list[str] | None, typer.Option(metavar="ROBOT", help="Only this robot's part; repeatable.")] = None,
     without: Annotated[
         list[str] | None, typer.Option(metavar="ROBOT", help="Leave this robot out; repeatable.")
     ] = None,
+    mode: Annotated[
+        str | None, typer.Option(help="ros-map: trinary, scale or raw.  [default: as imported, else trinary]")
+    ] = None,
+    occupied_thresh: Annotated[
+        float | None, typer.Option(help="ros-map: occupied from here on.  [default: as imported, 0.65; scale 1]")
+    ] = None,
+    free_thresh: Annotated[
+        float | None, typer.Option(help="ros-map: free up to here.  [default: as imported, 0.196; scale 0]")
+    ] = None,
+    negate: Annotated[bool | None, typer.Option(help="ros-map: black is free.  [default: as imported, no]")] = None,
     json: Json = False,
 ) -> None:
     """Write a map, or a part or some layers of it, for other tools."""
@@ -171,7 +183,8 @@ def export(
     with SqliteStore.open(store) as opened:
         check_robots(opened, [*(only or []), *(without or [])])
         replica = Replica(store=opened, only=only, without=without or ())
-        written = export_map(replica, out, format=format, layers=layer, bounds=part)
+        ros = {"mode": mode, "occupied_thresh": occupied_thresh, "free_thresh": free_thresh, "negate": negate}
+        written = export_map(replica, out, format=format, layers=layer, bounds=part, **ros)
     if json:
         say_json({"out": str(out), "format": written})
     else:

@@ -5,25 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from terrafuse import views
 from terrafuse.errors import InputError
 from terrafuse.export.cog import write_cog
 from terrafuse.export.npz import write_npz
 from terrafuse.export.picture import robot_paths, write_picture
+from terrafuse.export.ros_map import OPTIONS, write_ros_map
 from terrafuse.replica import Replica
 from terrafuse.types import Bounds
 
-Write = Callable[[Replica, Path, Sequence[str] | None, Bounds | None], None]
+Write = Callable[..., None]
 
 
 @dataclass(frozen=True)
 class Exporter:
-    """One file format. `write` takes the replica, the path, the layers and the bounds; None means all."""
+    """One file format. `write` takes the replica, the path, the layers and the bounds, None meaning all; and the
+    `options` of the format by their names, where they are given."""
 
     suffixes: tuple[str, ...]
     summary: str
     write: Write
+    options: tuple[str, ...] = ()
 
 
 def _picture(replica: Replica, path: Path, layers: Sequence[str] | None, bounds: Bounds | None) -> None:
@@ -36,6 +40,7 @@ EXPORTERS: dict[str, Exporter] = {
     "cog": Exporter((".tif", ".tiff"), "Cloud Optimized GeoTIFF, a band a layer, for GIS tools", write_cog),
     "png": Exporter((".png",), "picture of one layer with the robots' paths", _picture),
     "npz": Exporter((".npz",), "NumPy arrays with their coordinates", write_npz),
+    "ros-map": Exporter((".yaml", ".yml"), "ROS map_server YAML with its image beside it", write_ros_map, OPTIONS),
 }
 
 
@@ -45,18 +50,23 @@ def export_map(
     format: str | None = None,
     layers: Sequence[str] | None = None,
     bounds: Bounds | None = None,
+    **options: Any,
 ) -> str:
     """Write the map to a file in a format of EXPORTERS, by default the one that the ending says; returns its name.
 
-    Raises InputError for a format or ending that there is not, OutputError where the file can't be written.
+    `options` are the format's own; None leaves one out. Raises InputError for a format, an ending or an option that
+    there is not, OutputError where the file can't be written.
     """
     path = Path(out)
     name = format or format_of(path)
     if name not in EXPORTERS:
         raise InputError(f"no format '{name}'; there are: {known_formats()}")
+    given = {option: value for option, value in options.items() if value is not None}
+    if unknown := given.keys() - set(EXPORTERS[name].options):
+        raise InputError(f"the format '{name}' has no option {', '.join(sorted(unknown))}")
     if bounds is not None:
         _check_bounds(replica, bounds)
-    EXPORTERS[name].write(replica, path, layers, bounds)
+    EXPORTERS[name].write(replica, path, layers, bounds, **given)
     return name
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -35,7 +35,8 @@ class Look:
     shaded: bool = False
     """Whether the values are heights that light falls on."""
     named: bool = False
-    """Whether the values are kinds, named in the layer's description as '1 flat, 2 vertical'."""
+    """Whether the values are kinds, named in the layer's description as '1 flat, 2 vertical', or by `names`."""
+    names: Mapping[int, str] | None = None
     clock: bool = False
     """Whether the values are seconds since 1970 UTC."""
     unknown: str = "#eceef1"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -47,12 +47,19 @@ def write_picture(
     `paths`: (N, 2) east and north in metres of each robot. Raises InputError for an empty map, OutputError where the
     file can't be written.
     """
+    draw_subject(path, lambda: _subject(replica, layer or replica.model.picture_layer, bounds), paths, title)
+
+
+def draw_subject(
+    path: Path | str, choose: Callable[[], Subject], paths: Mapping[str, Any] | None = None, title: str | None = None
+) -> None:
+    """Write a PNG of what `choose` gives, which is asked when it is sure that pictures can be made."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError as error:
         raise MissingExtra("a picture", "matplotlib", "plot") from error
-    subject = _subject(replica, layer or replica.model.picture_layer, bounds)
+    subject = choose()
     chips = pixels.legend(paths or {})
     sheet = pixels.sheet_for(subject.image.shape[0], subject.image.shape[1], chips)
     figure = Figure((sheet.width / DPI, sheet.height / DPI), DPI, facecolor="white")
@@ -83,6 +90,7 @@ class Subject:
     image: Floats
     west: float
     south: float
+    look: Look
 
     @property
     def step_m(self) -> float:
@@ -101,7 +109,7 @@ def _subject(replica: Replica, name: str, bounds: Bounds | None) -> Subject:
     factor = math.ceil(max(views.shape_of(window)) / pixels.MOST_PIXELS)
     image = views.reduced(replica, layer, window, factor)
     west, south = views.bounds_of(replica, window)[:2]
-    return Subject(layer, replica.lattice, factor, image, west, south)
+    return Subject(layer, replica.lattice, factor, image, west, south, look_of(layer))
 
 
 def _axes(figure: Figure, sheet: Sheet, left: float, bottom: float, width: float, height: float) -> Axes:
@@ -110,7 +118,7 @@ def _axes(figure: Figure, sheet: Sheet, left: float, bottom: float, width: float
 
 def _draw_map(figure: Figure, sheet: Sheet, subject: Subject) -> Axes:
     axes = _axes(figure, sheet, sheet.left, sheet.bottom, sheet.map_width, sheet.map_height)
-    look, image = look_of(subject.layer), subject.image
+    look, image = subject.look, subject.image
     axes.set_facecolor(look.unknown)
     values = image[~np.isnan(image)]
     if len(values):
@@ -173,7 +181,7 @@ def _mark_bar(bar: Any, layer: Layer, look: Look, norm: Any, origin: int) -> Non
     from matplotlib.ticker import FuncFormatter, LogLocator
 
     if look.named:
-        names = kinds(layer)
+        names = look.names or kinds(layer)
         limits = min(names, default=1) - 0.5, max(names, default=1) + 0.5
         (bar.ax.set_ylim if bar.orientation == "vertical" else bar.ax.set_xlim)(*limits)
         bar.set_ticks(list(names), labels=list(names.values()))

@@ -285,7 +285,7 @@ def test_options_reach_the_window() -> None:
         ("", "no window ''"),
         ("radius?rnge_m=8", "no option 'rnge_m'; it takes: range_m, period_s, speed_mps"),
         ("tiles3x3?cells=3", "no option 'cells'; it takes: none"),
-        ("radius?range_m", "range_m=: give a number"),
+        ("radius?range_m", "'range_m' after the '?' is not key=value"),
         ("radius?range_m=far", "range_m=far: give a number, as in 'radius?range_m=8'"),
         ("radius?range_m=0", "range_m=0: give a finite number over 0"),
         ("radius?range_m=nan", "range_m=nan"),

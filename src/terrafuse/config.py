@@ -27,6 +27,8 @@ class MapSettings(BaseModel):
     """A name of `terrafuse.window.WINDOWS`, with options as in `radius?range_m=8&speed_mps=0.3`."""
     sensors: dict[str, str] = Field(default_factory=dict)
     """By robot, what describes its sensor: a preset's name or a YAML file. Robots without one go by their log."""
+    prior: tuple[str, ...] = ()
+    """Files of what is known beforehand, each `FILE?key=value…`; see `terrafuse.prior`."""
     global_factor: int = Field(1, ge=1)
     """Cells along the side of a cell of the coarser global map; 1 makes none."""
     commit_scans: int = Field(25, ge=1)

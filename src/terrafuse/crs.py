@@ -11,16 +11,21 @@ if TYPE_CHECKING:
     import pyproj
 
 
-def parse(text: str) -> pyproj.CRS:
-    """A CRS from EPSG:n, WKT or PROJ text; raises InputError unless it is projected and metric."""
+def known(text: str) -> pyproj.CRS:
+    """A CRS from EPSG:n, WKT or PROJ text; raises InputError for one that pyproj does not know."""
     try:
         import pyproj
     except ImportError as error:
         raise MissingExtra(f"the CRS {text}", "pyproj", "gis") from error
     try:
-        crs = pyproj.CRS.from_user_input(text)
+        return pyproj.CRS.from_user_input(text)
     except pyproj.exceptions.CRSError as error:
         raise InputError(f"CRS '{text}' is not known; give a code like EPSG:32632, or WKT") from error
+
+
+def parse(text: str) -> pyproj.CRS:
+    """The CRS of a map; raises InputError unless it is projected and metric."""
+    crs = known(text)
     if not crs.is_projected or any(abs(axis.unit_conversion_factor - 1) > 1e-12 for axis in crs.axis_info[:2]):
         raise InputError(f"CRS '{text}' ({crs.name}) does not count metres; choose a projected one, like a UTM zone")
     return crs
@@ -28,7 +33,11 @@ def parse(text: str) -> pyproj.CRS:
 
 def canonical(text: str) -> str:
     """EPSG:n where the CRS is exactly that, else WKT: equal CRSs become equal text, and lattices meet."""
-    crs = parse(text)
+    return short_text(parse(text))
+
+
+def short_text(crs: pyproj.CRS) -> str:
+    """EPSG:n where it is exactly that, else WKT."""
     authority = crs.to_authority(min_confidence=100)
     return ":".join(authority) if authority else str(crs.to_wkt())
 

@@ -11,7 +11,7 @@ import os
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -28,6 +28,7 @@ from terrafuse.logs.base import Log, Record, parse_source
 from terrafuse.mapper import Mapper
 from terrafuse.models import make_model
 from terrafuse.models.base import Model
+from terrafuse.prior import ROBOT, Prior, check_model, open_prior
 from terrafuse.sense import Sensor, applied, load_sensor, undescribed
 from terrafuse.sense.describe import content
 from terrafuse.store.behind import WriteBehind
@@ -82,6 +83,7 @@ class Plan:
     model: Model
     sensors: Mapping[str, Sensor] = field(default_factory=dict)
     """Of the robots whose sensor is described."""
+    prior: Prior | None = None
 
     @property
     def fingerprint(self) -> dict[str, Any]:
@@ -93,6 +95,7 @@ class Plan:
             "sensors": {name: content(sensor) for name, sensor in self.sensors.items()},
             "model": self.model.settings(),
             "plugins": plugins.fingerprints(),
+            "prior": [_content(path) for path in self.prior.paths] if self.prior else [],
             "logs": {name: [self._read_as(name), _content(log.path)] for name, log in self.logs.items()},
         }
 
@@ -119,9 +122,10 @@ def plan(sources: Mapping[str, str], settings: MapSettings) -> Plan:
     logs = {name: open_log(source) for name, source in parsed.items()}
     _check_frames(logs, settings)
     sensors = _sensors(settings.sensors, logs)
+    prior = _prior(settings.prior, model, logs)
     stated = {f"{name} ({log.path})": log.crs for name, log in logs.items()}
     options = {name: source.options for name, source in parsed.items()}
-    return Plan(logs, options, settings, replace(lattice, crs=crs.common(settings.crs, stated)), model, sensors)
+    return Plan(logs, options, settings, replace(lattice, crs=crs.common(settings.crs, stated)), model, sensors, prior)
 
 
 def _sensors(described: Mapping[str, str], logs: Mapping[str, Log]) -> dict[str, Sensor]:
@@ -133,6 +137,15 @@ def _sensors(described: Mapping[str, str], logs: Mapping[str, Log]) -> dict[str,
             )
     loaded = {text: load_sensor(text) for text in set(described.values())}
     return {name: loaded[text] for name, text in sorted(described.items())}
+
+
+def _prior(texts: Sequence[str], model: Model, logs: Mapping[str, Log]) -> Prior | None:
+    if not texts:
+        return None
+    if ROBOT in logs:
+        raise InputError(f"a robot named '{ROBOT}' and a prior map, whose contribution has that name; rename the robot")
+    check_model(model)
+    return open_prior(texts)
 
 
 def _check_frames(logs: Mapping[str, Log], settings: MapSettings) -> None:
@@ -172,6 +185,9 @@ def map_logs(run: Plan, store: SqliteStore, progress: Progress | None = None) ->
 
     A fault in one log stops all; what was committed until then stays in the store.
     """
+    if run.prior is not None:
+        for delta in run.prior.deltas(run.lattice, run.model):
+            store.accept(delta)
     stop = threading.Event()
     reports: dict[str, RobotReport] = {}
     with ThreadPoolExecutor(max_workers=len(run.logs), thread_name_prefix="robot") as pool:

@@ -14,6 +14,7 @@ from typing import Any
 
 from terrafuse import __version__, views
 from terrafuse.errors import MissingExtra, OutputError, TerrafuseError
+from terrafuse.exchange.delta import map_id
 from terrafuse.export.cog import write_cog
 from terrafuse.export.files import final
 from terrafuse.export.picture import robot_paths, write_picture
@@ -21,6 +22,7 @@ from terrafuse.export.report import write_report
 from terrafuse.mapping import Plan, Progress, RobotReport, make_folder, map_logs, open_partial
 from terrafuse.replica import Replica
 from terrafuse.store.sqlite import SqliteStore, remove_store
+from terrafuse.types import Floats
 
 STORE, PARTIAL_STORE = "map.db", "map.partial.db"
 FILES = {
@@ -30,6 +32,8 @@ FILES = {
     "report": "report.html",
     "report_json": "report.json",
 }
+GLOBAL_FILES = {"global_raster": "global.tif", "global_picture": "global.png"}
+"""Beside those, where the settings ask for a coarser global map."""
 
 Stage = Callable[[str], None]
 """Called with a word for what happens next."""
@@ -89,11 +93,19 @@ def _write(
     title = " + ".join(replica.robots)
     timed("raster", lambda: write_cog(replica, out / FILES["raster"]))
     timed("picture", lambda: write_picture(replica, out / FILES["picture"], paths=paths, title=title))
+    if plan.settings.global_factor > 1:
+        coarse = Replica(store=store, factor=plan.settings.global_factor)
+        timed("global map", lambda: _write_global(coarse, out, paths, title))
     report = timed("statistics", lambda: report_of(plan, store, replica, robots, seconds))
     write_report(out / FILES["report"], report, out / FILES["picture"])
     with final(out / FILES["report_json"]) as temporary:
         temporary.write_text(json.dumps(report, indent=1, allow_nan=False) + "\n")
     return dict(report)
+
+
+def _write_global(replica: Replica, out: Path, paths: Mapping[str, Floats], title: str) -> None:
+    write_cog(replica, out / GLOBAL_FILES["global_raster"])
+    write_picture(replica, out / GLOBAL_FILES["global_picture"], paths=paths, title=title)
 
 
 def map_facts(replica: Replica) -> dict[str, Any]:
@@ -102,7 +114,7 @@ def map_facts(replica: Replica) -> dict[str, Any]:
     window = views.known_window(replica)
     return {
         "map": {
-            **asdict(replica.store.map),
+            **asdict(map_id(replica.model.name, replica.lattice)),
             "settings": replica.model.settings(),
             "digest": replica.digest(),
         },
@@ -136,8 +148,17 @@ def report_of(
         "resident_bytes": peak_resident_bytes(),
         "seconds": seconds,
         "settings": plan.settings.model_dump(mode="json"),
-        "files": FILES,
+        **_global_facts(plan, store),
     }
+
+
+def _global_facts(plan: Plan, store: SqliteStore) -> dict[str, Any]:
+    """The files of the run, and what the coarser global map is, if there is one."""
+    factor = plan.settings.global_factor
+    if factor == 1:
+        return {"files": FILES}
+    facts = map_facts(Replica(store=store, factor=factor))
+    return {"files": FILES | GLOBAL_FILES, "global": {"factor": factor, **facts}}
 
 
 def _robot(robot: RobotReport, name: str, store: SqliteStore) -> dict[str, Any]:

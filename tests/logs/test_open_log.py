@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terrafuse.errors import LogError, MissingExtra
+from terrafuse.errors import InputError, LogError, MissingExtra
 from terrafuse.logs import COMMON_OPTIONS, READERS, Source, open_log, parse_source
 from terrafuse.logs.base import Log, Record
 from terrafuse.logs.guard import forwards, guarded
@@ -37,7 +37,7 @@ def test_a_missing_path_is_named() -> None:
 
 
 def test_a_query_that_is_no_query(tmp_path: Path) -> None:
-    refuses(f"{tmp_path}?topic", "'topic' after the '?' is not key=value", error=LogError)
+    refuses(f"{tmp_path}?topic", "'topic' after the '?' is not key=value", error=InputError)
 
 
 def test_an_unknown_format_lists_the_known_ones(tmp_path: Path) -> None:

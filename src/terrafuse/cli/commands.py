@@ -9,6 +9,7 @@ import typer
 
 from terrafuse.cli import arguments
 from terrafuse.cli.output import bytes_text, log_progress, say, say_json
+from terrafuse.cli.plugins import Plugins
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout instead of text.")]
 Out = Annotated[Path, typer.Option("--out", help="Folder for the results.")]
@@ -19,6 +20,7 @@ LOG_HELP = (
     "A robot's name and its log: a ROS 1/2 bag or MCAP file, a KITTI folder, a folder of clouds with a TUM trajectory, "
     "LAS/LAZ, a CARMEN log, an Argoverse 2 log. Options follow the path: r1=drive.mcap?topic=/lidar"
 )
+
 WINDOW_HELP = (
     "Tiles that a robot keeps in memory: tiles3x3, nine_block, radius?range_m=50&period_s=0.1&speed_mps=20, "
     "centred?cells=320 or all. The numbers are the defaults."
@@ -43,6 +45,13 @@ def map_(
         str | None, typer.Option(metavar="E,N", help="Where the origin of logs in a local frame lies, in the CRS.")
     ] = None,
     window: Annotated[str, typer.Option(help=WINDOW_HELP)] = "tiles3x3",
+    prior: Annotated[
+        list[str] | None,
+        typer.Option(metavar="FILE", help="What is known beforehand: a DEM, or GeoJSON polygons; repeatable."),
+    ] = None,
+    global_factor: Annotated[
+        int, typer.Option(help="Also make a global map of cells this many times as wide: global.tif, global.png.")
+    ] = 1,
     max_range: Annotated[
         float | None, typer.Option(help="Drop points further than this from the sensor, metres.  [default: keep all]")
     ] = None,
@@ -51,6 +60,7 @@ def map_(
         bool, typer.Option("--static", help="Plain statistics: nothing moves, no ghosts to remove.")
     ] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the map that is in the folder.")] = False,
+    plugin: Plugins = None,
     json: Json = False,
 ) -> None:
     """Map the logs of one or several robots into one shared map.
@@ -69,6 +79,8 @@ def map_(
         crs=crs,
         origin_m=arguments.numbers(origin, "EAST,NORTH"),
         window=window,
+        prior=prior,
+        global_factor=global_factor,
         sensors=arguments.by_robot("--sensor", sensor or (), named),
     )
     plan = mapping.plan(named, settings)
@@ -93,6 +105,9 @@ def _tell_map(report: dict[str, Any], out: Path) -> None:
         f"map: {report['cells']:,} cells of {report['map']['resolution_m']:g} m in {report['tiles']} tiles, "
         f"{report['points_per_second'] / 1e6:.1f} M points/s"
     )
+    if "global" in report:
+        coarse = report["global"]
+        say(f"global map: {coarse['cells']:,} cells of {coarse['map']['resolution_m']:g} m")
     n = report["layers"].get("n", {}).get("mean")
     if n is not None and n < SPARSE:
         say(f"hint: {n:.1f} points a cell leave gaps; a coarser --resolution gives a fuller map")
@@ -108,7 +123,7 @@ def _tell_window(robot: dict[str, Any]) -> None:
     )
 
 
-def info(store: StoreFile, json: Json = False) -> None:
+def info(store: StoreFile, plugin: Plugins = None, json: Json = False) -> None:
     """Show what a store holds: its map, its robots, the layers' ranges."""
     from terrafuse.replica import Replica
     from terrafuse.results import delta_bytes, map_facts
@@ -169,6 +184,7 @@ def export(
         float | None, typer.Option(help="ros-map: free up to here.  [default: as imported, 0.196; scale 0]")
     ] = None,
     negate: Annotated[bool | None, typer.Option(help="ros-map: black is free.  [default: as imported, no]")] = None,
+    plugin: Plugins = None,
     json: Json = False,
 ) -> None:
     """Write a map, or a part or some layers of it, for other tools."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from terrafuse.errors import LogError
+from terrafuse.query import split_query
 from terrafuse.types import Scan, Skipped
 
 Record = Scan | Skipped
@@ -55,13 +55,5 @@ class Reader:
 
 def parse_source(text: str) -> Source:
     """`PATH?key=value&key=value` → Source. A path that exists as written may contain `?`."""
-    if Path(text).exists():
-        return Source(Path(text))
-    path, _, query = text.partition("?")
-    options: dict[str, str] = {}
-    for part in filter(None, query.split("&")):
-        key, equals, value = part.partition("=")
-        if not equals or not key:
-            raise LogError(f"{text}: '{part}' after the '?' is not key=value")
-        options[key] = value
+    path, options = split_query(text)
     return Source(Path(path), options)

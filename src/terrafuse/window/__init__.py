@@ -6,11 +6,12 @@ wherever they lie, so no window loses a point; what is outside is written out an
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from inspect import signature
 
 from terrafuse.errors import InputError
 from terrafuse.lattice import Lattice
+from terrafuse.query import split_query
 from terrafuse.window.allocation import Allocation
 from terrafuse.window.area import EVERYWHERE, Area, disc, rectangle
 from terrafuse.window.policies import Centred, KeepAll, NineBlock, Radius, Tiles3x3, Window
@@ -28,23 +29,18 @@ WINDOWS: dict[str, Callable[..., Window]] = {
 
 def make_window(text: str, lattice: Lattice) -> Window:
     """The window that `NAME?key=number&key=number` asks for. Raises InputError for what there is none of."""
-    name, _, query = text.partition("?")
+    name, options = split_query(text)
     if name not in WINDOWS:
         raise InputError(f"no window '{name}'; there are: {', '.join(sorted(WINDOWS))}")
-    return WINDOWS[name](lattice, **_options(name, query))
+    return WINDOWS[name](lattice, **_options(name, options))
 
 
-def _options(name: str, query: str) -> dict[str, float]:
+def _options(name: str, options: Mapping[str, str]) -> dict[str, float]:
     takes = list(signature(WINDOWS[name]).parameters)[1:]
-    given: dict[str, float] = {}
-    for part in filter(None, query.split("&")):
-        key, _, value = part.partition("=")
+    for key in options:
         if key not in takes:
             raise InputError(f"window {name}: there is no option '{key}'; it takes: {', '.join(takes) or 'none'}")
-        if key in given:
-            raise InputError(f"window {name}: {key} is given twice; give it once")
-        given[key] = _number(name, key, value)
-    return given
+    return {key: _number(name, key, value) for key, value in options.items()}
 
 
 def _number(name: str, key: str, text: str) -> float:

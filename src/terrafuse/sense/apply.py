@@ -103,13 +103,13 @@ def applied(sensor: Sensor, scan: Scan) -> Scan:
         dropped += lost
     misses = np.concatenate([_ends(beams, sensor.max_range_m) for beams in silent])
     has_origins = sensor.has_origins or scan.origins is not None
-    starts = [points.starts[said.returned], *(beams.starts for beams in silent)]
+    kept = slice(None) if said.returned.all() else said.returned
     return Scan(
         scan.stamp_ns,
-        scan.points if said.returned.all() else scan.points[said.returned],
+        scan.points[kept],
         scan.T_world_sensor @ sensor.mounting.T_base_sensor,
         misses,
-        np.concatenate(starts) if has_origins else None,
+        np.concatenate([points.starts[kept], *(beams.starts for beams in silent)]) if has_origins else None,
         sensor.beam,
         dropped=dropped,
     )
@@ -126,11 +126,11 @@ def undescribed(scan: Scan) -> Scan:
 def _point_shots(sensor: Sensor, scan: Scan) -> Shots:
     """The beams of the points; readings are NaN where a point is not finite, and below 0 within the sensor's ring."""
     ends = scan.points[:, :3]
-    centred = ends - np.asarray(sensor.origin_m)
-    starts = _starts(sensor, centred) if scan.origins is None else scan.origins[: len(ends)]
-    shots = _shots(starts, ends)
-    if sensor.radius_m and scan.origins is None:
-        behind = np.hypot(centred[:, 0], centred[:, 1]) < sensor.radius_m
+    if scan.origins is not None:
+        return _shots(scan.origins[: len(ends)], ends)
+    shots = _shots(_starts(sensor, ends), ends)
+    if sensor.radius_m:
+        behind = np.hypot(ends[:, 0] - sensor.origin_m[0], ends[:, 1] - sensor.origin_m[1]) < sensor.radius_m
         shots.readings_m[behind] *= -1
     return shots
 
@@ -141,7 +141,7 @@ def _log_misses(sensor: Sensor, scan: Scan) -> tuple[Shots, Counter[str]]:
     if sensor.no_return == IGNORE:
         return _no_shots(), Counter({NO_RETURN: len(ends)} if len(ends) else {})
     if scan.origins is None:
-        return _shots(_starts(sensor, ends - np.asarray(sensor.origin_m)), ends), Counter()
+        return _shots(_starts(sensor, ends), ends), Counter()
     return _shots(scan.origins[len(scan.points) :], ends), Counter()
 
 
@@ -155,16 +155,17 @@ def _heard_nothing(sensor: Sensor, no_returns: NoReturns | None) -> tuple[Shots,
     said = sort_readings(sensor, no_returns.readings_m)
     directions = no_returns.directions[said.clear]
     cut = _counted({NO_RETURN: said.returned})
-    return _cleared(_starts(sensor, directions), directions, sensor), said.dropped + cut
+    starts = _starts(sensor, np.asarray(sensor.origin_m) + directions)
+    return _cleared(starts, directions, sensor), said.dropped + cut
 
 
-def _starts(sensor: Sensor, towards: Array) -> Floats:
-    """Where beams start that look towards these (K, 3) directions, which are outward from the sensor's ring."""
+def _starts(sensor: Sensor, ends: Array) -> Floats:
+    """Where beams start that end at these (K, 3) points: each looks outward from the sensor's ring."""
     origin = np.asarray(sensor.origin_m)
     if not sensor.radius_m:
-        return np.asarray(np.broadcast_to(origin, towards.shape))
-    outward = np.zeros(towards.shape)
-    outward[:, :2] = towards[:, :2]
+        return np.asarray(np.broadcast_to(origin, ends.shape))
+    outward = ends - origin
+    outward[:, 2] = 0.0
     lengths = np.maximum(_lengths(outward), np.finfo(float).tiny)
     return np.asarray(origin + sensor.radius_m * outward / lengths[:, None])
 

@@ -109,6 +109,7 @@ LOOKS: dict[str, Look] = {
     "traversability": Look(_named("viridis"), _share),
     "dynamic": Look(_named("inferno"), _share),
     "occupancy": Look(_named("gray_r"), _share, unknown="#bcc3cc"),
+    "white": Look(_named("gray_r"), _share, unknown="#bcc3cc"),
     "stamp": Look(_named("viridis"), _robust, clock=True),
 }
 """Layers with a look of their own, in any model; add yours with `LOOKS["mine"] = Look(...)`."""

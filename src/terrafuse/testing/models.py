@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -45,7 +45,10 @@ def for_many_seeds(law: Law) -> Law:
 
 
 class ModelTests:
-    """Subclass, and define the fixture `model`. What a model claims beyond the laws of all stands in the attributes."""
+    """Subclass, and define the fixture `model`: one with settings other than the defaults tests them, too.
+
+    What a model claims beyond the laws of all stands in the attributes.
+    """
 
     lattice: Lattice = LATTICE
     """0.5 m cells in tiles of 8×8. Cells of another size need `scans` of another extent."""
@@ -289,6 +292,7 @@ class ModelTests:
         written = json.loads(json.dumps(model.settings(), allow_nan=False))
         again = make_model(model.name, written)
         assert (type(again), again.cell, again.settings()) == (type(model), model.cell, model.settings())
+        assert again == model or not is_dataclass(model), "settings() leaves something out"
         scans = self.scans(1, 4)
         assert encode(self._map(again, scans).delta()) == encode(self._map(model, scans).delta())
 

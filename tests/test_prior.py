@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -228,3 +229,15 @@ def test_the_program_refuses_a_prior_for_a_model_that_takes_none(tmp_path: Path,
     assert named.code == 2
     assert "rename the robot" in named.err
     assert not (tmp_path / "out").exists()
+
+
+def test_the_pages_example(tmp_path: Path) -> None:
+    page = (Path(__file__).parent.parent / "docs" / "prior-maps.md").read_text()
+    (example,) = re.findall(r"```json\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "example.geojson").write_text(example)
+    lattice = Lattice(1.0, 10.0, "EPSG:32632")
+    replica = Replica(lattice, TERRAIN)
+    for delta in open_prior([str(tmp_path / "example.geojson")]).deltas(lattice, TERRAIN):
+        replica.apply(delta)
+    assert int((replica.layer("height") == 10.0).sum()) == 20 * 12
+    assert int((replica.layer("gps_quality") == 0.0).sum()) > 300

@@ -42,6 +42,7 @@ bench: setup
 
 accuracy: setup
 	$(BIN)/python -m tests.accuracy
+	$(BIN)/python -m tests.accuracy_terrain
 
 wheel: setup
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .

@@ -11,8 +11,7 @@ from numba import njit
 from terrafuse.kernels import terrain, terrain_coarsen, terrain_planes, terrain_points
 from terrafuse.kernels.rasterise import WINDOW
 from terrafuse.lattice import Lattice
-from terrafuse.models.base import Patch
-from terrafuse.models.terrain import Terrain
+from terrafuse.models.terrain import Terrain, TerrainPatch
 from terrafuse.types import Array, Scan
 from tests.kernels.test_rasterise import random_pose
 from tests.models.test_terrain import some_cells
@@ -30,13 +29,10 @@ def same(one: Array, other: Array) -> None:
         np.testing.assert_allclose(one[name], other[name], rtol=1e-5, atol=1e-6, err_msg=name)
 
 
-def flat(patch: Patch, lattice: Lattice) -> tuple[Array, Array, Array]:
+def flat(patch: TerrainPatch, lattice: Lattice) -> tuple[Array, Array, Array]:
     """(i, j, records) of a patch in rising (j, i) order."""
-    x, y = (np.repeat([key[axis] for key in patch.keys], np.diff(patch.starts)).astype(int) for axis in (0, 1))
-    i, j = (
-        x * lattice.tile_cells + patch.at % lattice.tile_cells,
-        y * lattice.tile_cells + patch.at // lattice.tile_cells,
-    )
+    side, keys = lattice.tile_cells, np.array(patch.keys, int).reshape(-1, 3)[patch.tile_of]
+    i, j = keys[:, 0] * side + patch.at % side, keys[:, 1] * side + patch.at // side
     order = np.lexsort((i, j))
     return i[order], j[order], patch.records[order]
 
@@ -135,9 +131,11 @@ def test_merge_equals_the_reference(seed: int, late: bool) -> None:
     new["flags"] &= terrain.KNOWN
     at = np.random.default_rng(seed).permutation(200)[: len(new)].astype(np.int32)
     stamp = 10**11 if late else 2 * 10**12
+    halves = [own[:100], own[100:]]
     expected = own.copy()
     expected[at] = terrain.merge_reference(own[at], new, stamp, 77, rules)
-    terrain.merge(own, at, new, stamp, 77, rules)
+    addresses = np.array([half.ctypes.data for half in halves])
+    terrain.merge(addresses, (at // 100).astype(np.int32), at % 100, new, stamp, 77, rules)
     same(own, expected)
 
 

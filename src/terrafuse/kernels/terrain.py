@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from terrafuse.kernels.memory import DISTANCE, prefetch
+from terrafuse.kernels.memory import DISTANCE, prefetch_at, record_at
 from terrafuse.types import Array, Floats, Stamp
 
 CELL = np.dtype(
@@ -220,13 +220,22 @@ def look(own, new, stamp, rules):
     return replaced
 
 
+_CELLS = np.empty(0, CELL)
+CELL_BYTES = CELL.itemsize
+
+
 @njit(cache=True, nogil=True)
-def merge(cells, at, patch, stamp, revision, rules):
-    """A robot's tile ← a scan's patch: cells (T²,) CELL, at (K,) distinct positions, patch (K,) CELL."""
+def merge(tiles, tile_of, at, patch, stamp, revision, rules):
+    """A robot's tiles ← a scan's patch.
+
+    tiles (T,) int64 addresses of the tiles' (T²,) CELL; patch (K,) CELL, of which record k belongs to position at[k] of
+    tile tile_of[k], each once.
+    """
     last = at.shape[0] - 1
     for k in range(at.shape[0]):
-        prefetch(cells, at[min(k + DISTANCE, last)])
-        own, new = cells[at[k]], patch[k]
+        ahead = min(k + DISTANCE, last)
+        prefetch_at(tiles[tile_of[ahead]] + np.int64(at[ahead]) * CELL_BYTES)
+        own, new = record_at(_CELLS, tiles[tile_of[k]] + np.int64(at[k]) * CELL_BYTES), patch[k]
         if own.flags & HEIGHT:
             if not look(own, new, stamp, rules):
                 continue

@@ -30,20 +30,31 @@ def coarsen(cells, factor, rules, out):
     as of the newest stamp. The occupation is the worst of the cells that are sure enough, of all where none is.
     Of what is given, it promises the least that any of its cells does.
     """
+    some = np.empty(factor * factor + 1, np.int64)
     for j in range(out.shape[0]):
         for i in range(out.shape[1]):
             square = cells[j * factor : (j + 1) * factor, i * factor : (i + 1) * factor]
-            own = out[j, i]
-            for row in range(factor):
-                for column in range(factor):
-                    cell = square[row, column]
-                    own.stamp = max(own.stamp, cell.stamp)
-                    own.revision = max(own.revision, cell.revision)
-                    own.flags |= cell.flags
-                    own.gps_quality = least(own.gps_quality, cell.gps_quality)
-                    own.communications = least(own.communications, cell.communications)
+            own, count = out[j, i], list_known(square, factor, some)
+            for k in range(count):
+                cell = square[some[k] // factor, some[k] % factor]
+                own.stamp = max(own.stamp, cell.stamp)
+                own.revision = max(own.revision, cell.revision)
+                own.flags |= cell.flags
+                own.gps_quality = least(own.gps_quality, cell.gps_quality)
+                own.communications = least(own.communications, cell.communications)
             if own.flags & HEIGHT:
-                average(square, factor, rules, own)
+                average(square, factor, some, count, rules, own)
+
+
+@njit(inline="always")
+def list_known(square, factor, some):
+    """Write the flat positions of the known cells of a square to `some` (k² + 1,); returns how many there are."""
+    count = 0
+    for row in range(factor):
+        for column in range(factor):
+            some[count] = row * factor + column
+            count += square[row, column].flags != 0
+    return count
 
 
 @njit(inline="always")
@@ -53,38 +64,37 @@ def least(a, b):
 
 
 @njit(inline="always")
-def average(square, factor, rules, own):
-    """Fill in the surface of a coarse cell from square (k, k), one of which at least knows its height."""
+def average(square, factor, some, count, rules, own):
+    """Fill in the surface of a coarse cell from the known cells of a square, one of which at least knows its height."""
     known = weight = height = weight_x = weight_y = x = y = 0.0
     plain = plain_x = plain_y = 0.0
     known_x = known_y = 0.0
     sure, worst = np.float32(-1.0), np.float32(-1.0)
     prior = True
-    for row in range(factor):
-        for column in range(factor):
-            cell = square[row, column]
-            if not cell.flags & HEIGHT:
-                continue
-            confidence = aged(cell, cell.stamp, own.stamp, rules)
-            prior &= cell.flags & PRIOR != 0
-            known += 1.0
-            plain += cell.height
-            weight += confidence
-            height += confidence * cell.height
-            if cell.flags & GRADIENT_X:
-                known_x += 1.0
-                plain_x += cell.gradient_x
-                weight_x += confidence
-                x += confidence * cell.gradient_x
-            if cell.flags & GRADIENT_Y:
-                known_y += 1.0
-                plain_y += cell.gradient_y
-                weight_y += confidence
-                y += confidence * cell.gradient_y
-            if cell.flags & OCCUPATION:
-                worst = max(worst, cell.occupation)
-                if confidence >= rules.coarse_confidence:
-                    sure = max(sure, cell.occupation)
+    for k in range(count):
+        cell = square[some[k] // factor, some[k] % factor]
+        if not cell.flags & HEIGHT:
+            continue
+        confidence = aged(cell, cell.stamp, own.stamp, rules)
+        prior &= cell.flags & PRIOR != 0
+        known += 1.0
+        plain += cell.height
+        weight += confidence
+        height += confidence * cell.height
+        if cell.flags & GRADIENT_X:
+            known_x += 1.0
+            plain_x += cell.gradient_x
+            weight_x += confidence
+            x += confidence * cell.gradient_x
+        if cell.flags & GRADIENT_Y:
+            known_y += 1.0
+            plain_y += cell.gradient_y
+            weight_y += confidence
+            y += confidence * cell.gradient_y
+        if cell.flags & OCCUPATION:
+            worst = max(worst, cell.occupation)
+            if confidence >= rules.coarse_confidence:
+                sure = max(sure, cell.occupation)
     own.height = height / weight if weight > 0.0 else plain / known
     if known_x > 0.0:
         own.gradient_x = np.float32(x / weight_x if weight_x > 0.0 else plain_x / known_x)

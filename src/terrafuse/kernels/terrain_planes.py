@@ -121,14 +121,6 @@ def occupy_all(count, max_slope, cells):
         occupy(cells[k], max_slope)
 
 
-@njit(cache=True, nogil=True)
-def indices(places, count, i0, j0, i, j):
-    """Write the lattice's (i, j) of each cell."""
-    for k in range(count):
-        a, b = cell_at(places[k])
-        i[k], j[k] = i0 + a, j0 + b
-
-
 # --- the same, as slowly as it reads ---------------------------------------------------------------------------------
 
 

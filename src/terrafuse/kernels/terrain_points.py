@@ -23,9 +23,11 @@ SUMS = np.dtype(
 
 
 class PointList(NamedTuple):
-    """Where the points of a scan lie, (N,) each: the grid index of the cell (NOWHERE: does not count), u, v and w."""
+    """Where the points of a scan lie, (N,) each: the grid index of the cell (NOWHERE: does not count), the number of
+    the sub-cell in it, u, v and w."""
 
     places: Array
+    parts: Array
     u: Floats
     v: Floats
     w: Floats
@@ -34,11 +36,11 @@ class PointList(NamedTuple):
 def new_points(capacity: int) -> PointList:
     # Longer than is used: what is fetched ahead is looked up beyond the last point.
     u, v, w = (np.empty(capacity) for _ in range(3))
-    return PointList(np.zeros(capacity + DISTANCE, np.int32), u, v, w)
+    return PointList(np.zeros(capacity + DISTANCE, np.int32), np.empty(capacity, np.int32), u, v, w)
 
 
 @njit(nogil=True)
-def locate_block(x, y, z, m, T, cells_per_m, i0, j0, near2, far2, places, u, v, w):
+def locate_block(x, y, z, m, T, cells_per_m, i0, j0, near2, far2, across, places, parts, u, v, w):
     """m points (1-D arrays) → where they lie. Returns how many count."""
     r00, r01, r02, t0 = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
     r10, r11, r12, t1 = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
@@ -64,16 +66,18 @@ def locate_block(x, y, z, m, T, cells_per_m, i0, j0, near2, far2, places, u, v, 
         good += ok
         whole_a, whole_b = np.int32(a if ok else 0.0), np.int32(b if ok else 0.0)
         places[k] = place_of(whole_a, whole_b) if ok else NOWHERE
+        parts[k] = np.int32((north - j) * across) * across + np.int32((east - i) * across)
         u[k], v[k], w[k] = east - i - 0.5, north - j - 0.5, up
     return good
 
 
 @njit(cache=True, nogil=True)
-def locate(points, T, cells_per_m, i0, j0, near2, far2, places, u, v, w, dropped, later):
+def locate(points, T, cells_per_m, i0, j0, near2, far2, across, places, parts, u, v, w, dropped, later):
     """(N, 3) points in the sensor's frame → where they lie in the window whose first cell is (i0, j0).
 
-    T: 4×4 float64 T_world_sensor; near2, far2: squared range gate in m². `dropped` (5,) int64 is added to by reason,
-    as in `rasterise`; `later` (N,) int64 receives the indices of the points beyond the window.
+    T: 4×4 float64 T_world_sensor; near2, far2: squared range gate in m². A cell has across×across sub-cells. `dropped`
+    (5,) int64 is added to by reason, as in `rasterise`; `later` (N,) int64 receives the indices of the points beyond
+    the window.
     """
     x, y, z = np.empty(BLOCK, points.dtype), np.empty(BLOCK, points.dtype), np.empty(BLOCK, points.dtype)
     for first in range(0, points.shape[0], BLOCK):
@@ -82,18 +86,19 @@ def locate(points, T, cells_per_m, i0, j0, near2, far2, places, u, v, w, dropped
             x[k] = points[first + k, 0]
             y[k] = points[first + k, 1]
             z[k] = points[first + k, 2]
-        where = places[first:]
-        good = locate_block(x, y, z, m, T, cells_per_m, i0, j0, near2, far2, where, u[first:], v[first:], w[first:])
+        end = first + m
+        where, part, a, b, c = places[first:end], parts[first:end], u[first:end], v[first:end], w[first:end]
+        good = locate_block(x, y, z, m, T, cells_per_m, i0, j0, near2, far2, across, where, part, a, b, c)
         if good < m:
             account(x, y, z, m, T, near2, far2, first, where, dropped, later)
 
 
 @njit(cache=True, nogil=True)
-def add_up(places, u, v, w, n, across, grid, first_slot, cell_places, sums):
-    """Add n points to the sums of their cells; a cell has across×across sub-cells. Returns the number of cells.
+def add_up(places, parts, u, v, w, n, grid, first_slot, cell_places, sums):
+    """Add n points to the sums of their cells. Returns the number of cells.
 
     `grid` holds nothing that is `first_slot` or more; cell k gets `first_slot` + k there, its grid index in
-    `cell_places` and its sums in `sums`, which must hold n + 1.
+    `cell_places` and its sums in `sums`.
     """
     count = 0
     for k in range(n):
@@ -102,13 +107,13 @@ def add_up(places, u, v, w, n, across, grid, first_slot, cell_places, sums):
         if place == NOWHERE:
             continue
         slot = grid[place] - first_slot
-        new = slot < 0
-        slot = count if new else slot
-        grid[place] = slot + first_slot
-        cell_places[slot] = place
-        clear(sums[np.uint64(count)])  # whether or not it is this point's
-        count += new
-        hit(sums[np.uint64(slot)], u[k], v[k], w[k], across)
+        if slot < 0:  # in cells as large as this model's, few points are the first
+            slot = count
+            grid[place] = slot + first_slot
+            cell_places[slot] = place
+            clear(sums[np.uint64(slot)])
+            count += 1
+        hit(sums[np.uint64(slot)], parts[k], u[k], v[k], w[k])
     return count
 
 
@@ -119,7 +124,7 @@ def clear(s):
 
 
 @njit(inline="always")
-def hit(s, u, v, w, across):
+def hit(s, part, u, v, w):
     s.n += 1.0
     s.u += u
     s.v += v
@@ -129,8 +134,7 @@ def hit(s, u, v, w, across):
     s.vv += v * v
     s.uw += u * w
     s.vw += v * w
-    column, row = np.int64((u + 0.5) * across), np.int64((v + 0.5) * across)
-    s.hit |= np.uint64(1) << np.uint64(row * across + column)
+    s.hit |= np.uint64(1) << np.uint64(part)
 
 
 def locate_reference(

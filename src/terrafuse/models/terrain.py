@@ -7,7 +7,7 @@ Matta-Gómez, Del Cerro & Barrientos, "Multi-robot data mapping simulation by us
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike
 from terrafuse.errors import InputError
 from terrafuse.kernels import rasterise, terrain, terrain_coarsen, terrain_planes, terrain_points
 from terrafuse.lattice import Lattice
-from terrafuse.models.base import Layer, Patch, Reading, patch_of
+from terrafuse.models.base import Layer, Reading, patch_of
 from terrafuse.tile import RecordTile
-from terrafuse.types import Array, Floats, Scan, Stamp
+from terrafuse.types import Array, Floats, Scan, Stamp, TileKey
 
 DEFAULT_RANGE_M = 50.0
 """Maximum range of a sensor that does not state one."""
@@ -54,7 +54,7 @@ class Terrain:
     """Two cells that are this sure and disagree mean that the world has changed."""
     coarse_confidence: float = 2 / 16
     """With at least this confidence, a cell counts for the occupation of a coarser one."""
-    least_spread: float = 0.1
+    least_spread: float = 0.15
     """Points make a plane if they spread by this share of the cell's side (standard deviation) in every direction."""
 
     name = "terrain"
@@ -99,8 +99,8 @@ class Terrain:
     def observer(self, lattice: Lattice) -> TerrainObserver:
         return TerrainObserver(self, lattice)
 
-    def tile(self, lattice: Lattice) -> RecordTile:
-        return RecordTile(lattice.tile_cells, self.cell, partial(_merge, self.rules(lattice.resolution_m)))
+    def tile(self, lattice: Lattice) -> TerrainTile:
+        return TerrainTile(lattice.tile_cells, self.cell, partial(_merge, self.rules(lattice.resolution_m)))
 
     def fuse(self, older: Array, newer: Array, lattice: Lattice) -> Array:
         """By the stamps, whatever the order of the arguments; of equal stamps the second counts as the newer."""
@@ -178,10 +178,6 @@ class Terrain:
         return _where(self.known(cells), 255.0 * terrain.aged_reference(cells, reading.now_ns, self.rules(0.0)))
 
 
-def _merge(rules: terrain.Rules, cells: Array, at: Array, patch: Array, stamp_ns: Stamp, revision: int) -> None:
-    terrain.merge(cells, at, patch, stamp_ns, revision, rules)
-
-
 def _where(known: Array, values: Array) -> Floats:
     return np.where(known, values.astype(np.float64), np.nan)
 
@@ -208,16 +204,62 @@ def _static(name: str, values: ArrayLike | None, most: int) -> Array | int:
     return np.where(np.isnan(given), 0, np.nan_to_num(given) + 1).astype(np.uint8)
 
 
+class TerrainTile(RecordTile):
+    """Cells that a patch of several tiles is merged into in one call."""
+
+    @property
+    def address(self) -> int:
+        return int(self._cells.ctypes.data)
+
+
+def _merge(rules: terrain.Rules, cells: Array, at: Array, patch: Array, stamp_ns: Stamp, revision: int) -> None:
+    """A tile by itself takes a patch in."""
+    tiles, tile_of = np.array([cells.ctypes.data]), np.zeros(len(at), np.int32)
+    terrain.merge(tiles, tile_of, at, patch, stamp_ns, revision, rules)
+
+
+@dataclass(frozen=True, eq=False)
+class TerrainPatch:
+    """The 3DLaserAuxMap of the paper: (K,) CELL records in the order in which the cells were met, of which number k
+    belongs to position at[k] of the tile keys[tile_of[k]]. The arrays are the observer's scratch: they hold until its
+    next scan.
+    """
+
+    keys: Sequence[TileKey]
+    tile_of: Array
+    at: Array
+    records: Array
+    points: int
+    dropped: Mapping[str, int]
+    rules: terrain.Rules
+
+    @property
+    def cells(self) -> int:
+        return len(self.at)
+
+    def merge_into(self, tiles: Sequence[TerrainTile], stamp_ns: Stamp, revision: int) -> None:
+        addresses = np.array([tile.address for tile in tiles], np.int64)
+        terrain.merge(addresses, self.tile_of, self.at, self.records, stamp_ns, revision, self.rules)
+        for tile in tiles:
+            tile.revision = revision
+
+
+Found = tuple[Sequence[TileKey], Array, Array, Array]
+"""Keys, tile_of, at and records of a patch."""
+
+
 class TerrainObserver:
     """Turns scans of one robot into patches on one lattice; keeps the scratch between scans."""
 
     def __init__(self, model: Terrain, lattice: Lattice) -> None:
-        self._model, self._lattice = model, lattice
+        self._model, self._lattice, self._rules = model, lattice, model.rules(lattice.resolution_m)
         self._grid = np.zeros(rasterise.NOWHERE + 1, np.int32)
         self._first_slot = 1
+        across = rasterise.WINDOW // lattice.tile_cells + 2
+        self._keys, self._places = np.empty((across * across, 2), np.int64), np.empty(0, np.int32)
         self._reserve(1 << 14)
 
-    def __call__(self, scan: Scan) -> Patch:
+    def __call__(self, scan: Scan) -> TerrainPatch:
         points = _checked(scan.points)
         T, max_range_m = scan.T_world_sensor.matrix, self._model.range_m(scan)
         dropped = np.zeros(5, np.int64)
@@ -226,54 +268,57 @@ class TerrainObserver:
         if dropped[rasterise.LATER]:
             found = self._in_blocks(points, T, max_range_m)
         reasons = {name: int(n) for name, n in zip(rasterise.DROP_REASONS, dropped, strict=False) if n}
-        return patch_of(*found, self._lattice, len(scan.points), reasons)
+        return TerrainPatch(*found, len(scan.points), reasons, self._rules)
 
-    def _in_blocks(self, points: Array, T: Floats, max_range_m: float) -> tuple[Array, Array, Array]:
+    def _in_blocks(self, points: Array, T: Floats, max_range_m: float) -> Found:
         """As `_pass`, of a scan that is wider than the window.
 
         Blocks overlap by a cell, so that each cell finds its neighbours; it is taken from the one that it lies inside.
         """
-        side = rasterise.WINDOW - 2
-        i, j, *_ = terrain_points.locate_reference(
+        block, side = rasterise.WINDOW - 2, self._lattice.tile_cells
+        ends = terrain_points.locate_reference(
             points, T, self._lattice.cells_per_m, self._model.min_range_m, max_range_m
         )
         parts = []
-        for x, y in np.unique(np.stack([i // side, j // side], axis=1), axis=0).tolist():
-            found = self._pass(points, T, max_range_m, (x * side - 1, y * side - 1), np.zeros(5, np.int64))
-            inside = (found[0] // side == x) & (found[1] // side == y)
-            parts.append([part[inside] for part in found])
-        i, j, cells = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-        return i, j, cells
+        for x, y in np.unique(np.stack([ends[0] // block, ends[1] // block], axis=1), axis=0).tolist():
+            origin = x * block - 1, y * block - 1
+            keys, tile_of, at, records = self._pass(points, T, max_range_m, origin, np.zeros(5, np.int64))
+            corner = np.array(keys, np.int64).reshape(-1, 3)[tile_of, :2] * side
+            i, j = corner[:, 0] + at % side, corner[:, 1] + at // side
+            inside = (i // block == x) & (j // block == y)
+            parts.append((i[inside], j[inside], records[inside]))
+        i, j, records = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        patch = patch_of(i, j, records, self._lattice, len(points))
+        tile_of = np.repeat(np.arange(len(patch.keys), dtype=np.int32), np.diff(patch.starts))
+        return patch.keys, tile_of, patch.at, patch.records
 
-    def _pass(
-        self, points: Array, T: Floats, max_range_m: float, origin: tuple[int, int], dropped: Array
-    ) -> tuple[Array, Array, Array]:
-        """(i, j, CELL records) of the cells of the window at `origin` that the points hit, (K,) each.
-
-        The stages of the paper's table 2 in their order.
-        """
-        self._reserve(len(points) + 1)
+    def _pass(self, points: Array, T: Floats, max_range_m: float, origin: tuple[int, int], dropped: Array) -> Found:
+        """The cells of the window at `origin` that the points hit: the stages of the paper's table 2 in their order."""
+        self._reserve(len(points))
         model, lattice, (i0, j0), first_slot = self._model, self._lattice, origin, self._first_slot
         per_m, grid, places, sums, cells = lattice.cells_per_m, self._grid, self._places, self._sums, self._cells
-        near2, far2 = model.min_range_m**2, max_range_m**2
-        terrain_points.locate(points, T, per_m, i0, j0, near2, far2, *self._points, dropped, self._later)
+        gate = model.min_range_m**2, max_range_m**2
         across = math.isqrt(model.subcells)
-        count = terrain_points.add_up(*self._points, len(points), across, grid, first_slot, places, sums)
+        terrain_points.locate(points, T, per_m, i0, j0, *gate, across, *self._points, dropped, self._later)
+        count = terrain_points.add_up(*self._points, len(points), grid, first_slot, places, sums)
         self._first_slot += count
         terrain_planes.fit(sums, count, T[2, 3], per_m, model.least_spread, cells)
         terrain_planes.difference_neighbours(places, count, grid, first_slot, per_m, cells)
         terrain_planes.assess(sums, places, count, i0, j0, T, per_m, max_range_m, model.subcells, cells)
         terrain_planes.occupy_all(count, model.max_slope, cells)
-        i, j = np.empty(count, np.int64), np.empty(count, np.int64)
-        terrain_planes.indices(places, count, i0, j0, i, j)
-        return i, j, cells[:count]
+        tiles, _ = rasterise.divide(
+            places, cells, count, i0, j0, lattice.tile_cells, self._keys, self._tile_of, self._at
+        )
+        keys = [TileKey(x, y) for x, y in self._keys[:tiles].tolist()]
+        return keys, self._tile_of[:count], self._at[:count], cells[:count]
 
     def _reserve(self, capacity: int) -> None:
         """Make the scratch hold `capacity` points and cells."""
-        if capacity > len(getattr(self, "_places", ())):
+        if capacity > len(self._places):
             room = 1 << (capacity - 1).bit_length()
             self._points = terrain_points.new_points(room)
-            self._places, self._later = np.empty(room, np.int32), np.empty(room, np.int64)
+            self._places, self._tile_of, self._at = (np.empty(room, np.int32) for _ in range(3))
+            self._later = np.empty(room, np.int64)
             self._sums, self._cells = np.empty(room, terrain_points.SUMS), np.zeros(room, terrain.CELL)
         if self._first_slot + capacity >= 2**31:
             self._grid.fill(0)

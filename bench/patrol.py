@@ -1,0 +1,276 @@
+"""python -m bench.patrol [--json FILE] [--scans N] [--rounds N]
+
+The *patrol* paper's pipeline, stage by stage as in its table 2: 100,000 points of a 3D lidar, a local map (HRM) of
+320×320 cells of 0.5 m, a global one (GLRM) of 200×200 cells of 5 m. The compiled kernels and the NumPy references take
+the same scans in turn, so that a slow spell of the machine hits both; times are the least of the rounds, in
+milliseconds.
+
+What a stage holds: the point list, the transform of all points and their cells; heights, the sums of each cell and its
+plane, whose slopes are gradients, too; gradients, the neighbours' differences where there is no plane.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import platform
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.stream import scene
+from terrafuse.demo.scene import Lidar, scan
+from terrafuse.kernels import rasterise, terrain, terrain_coarsen, terrain_planes, terrain_points
+from terrafuse.lattice import Lattice
+from terrafuse.mapper import Mapper
+from terrafuse.models.terrain import Terrain
+from terrafuse.tile import opaque
+from terrafuse.types import Array, Pose, Scan
+
+POINTS = 100_000
+RANGE_M = 75.0
+HRM, FACTOR, GLRM_SIDE = Lattice(0.5, 160.0), 10, 200
+SIDE = HRM.tile_cells
+MODEL = Terrain(max_range_m=RANGE_M)
+FINE, COARSE = MODEL.rules(HRM.resolution_m), MODEL.rules(HRM.resolution_m * FACTOR)
+ACROSS = math.isqrt(MODEL.subcells)
+
+PAPER_MS = {
+    "collision point list": (55, 55, 70),
+    "heights layer": (5, 5, 5),
+    "gradient estimation": (130, 140, 307),
+    "confidence layer": (82, 60, 70),
+    "occupation layer": (30, 30, 35),
+    "fusion of the 3D laser map with the HRM": (5, 1, 5),
+    "fusion HRM to LLRM": (110, 105, 110),
+    "fusion of the LLRM with the GLRM": (4, 5, 5),
+}
+"""Table 2: three robots, each on a Core i3 of 2.2 GHz, in C#; the paper does not say how many points a scan had."""
+POINT_LIST, HEIGHTS, GRADIENTS, CONFIDENCE, OCCUPATION, INTO_HRM, INTO_LLRM, INTO_GLRM = PAPER_MS
+
+
+class Clock:
+    """The least time of each stage of each scan."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[tuple[str, int], float] = {}
+        self.scan = 0
+
+    def time(self, stage: str, work: Callable[..., Any], *arguments: Any) -> Any:
+        started = time.perf_counter()
+        result = work(*arguments)
+        spent = time.perf_counter() - started
+        self.seconds[stage, self.scan] = min(spent, self.seconds.get((stage, self.scan), math.inf))
+        return result
+
+    def milliseconds(self) -> dict[str, float]:
+        """Of each stage, the mean over the scans."""
+        count = self.scan + 1
+        out: dict[str, float] = {}
+        for (stage, _), seconds in self.seconds.items():
+            out[stage] = out.get(stage, 0.0) + seconds / count * 1e3
+        return out
+
+
+class Maps:
+    """The HRM and the part of the GLRM that it covers, as flat arrays; the HRM's tile is the one around the robot."""
+
+    def __init__(self) -> None:
+        self.clock = Clock()
+        self.hrm = np.zeros(SIDE * SIDE, terrain.CELL)
+        self.glrm = np.zeros((GLRM_SIDE, GLRM_SIDE), terrain.CELL)
+
+    def under(self) -> Array:
+        """The GLRM's cells under the HRM, in the GLRM's middle."""
+        first = (GLRM_SIDE - SIDE // FACTOR) // 2
+        return self.glrm[first : first + SIDE // FACTOR, first : first + SIDE // FACTOR]
+
+    def into_glrm(self, fuse: Callable[[Array, Array], Array], llrm: Array) -> None:
+        """Fuse an LLRM in."""
+        cells = np.ascontiguousarray(opaque(self.under())).view(terrain.CELL).reshape(-1)
+        opaque(self.under())[...] = opaque(fuse(cells, llrm.reshape(-1))).reshape(llrm.shape)
+
+
+class Compiled(Maps):
+    """The model's kernels, in the order in which its observer, its tiles and a station call them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.grid, self.first_slot = np.zeros(rasterise.NOWHERE + 1, np.int32), 1
+        self.points, self.later = terrain_points.new_points(POINTS), np.empty(POINTS, np.int64)
+        self.places, self.sums = np.empty(POINTS, np.int32), np.empty(POINTS, terrain_points.SUMS)
+        self.cells, self.keys = np.zeros(POINTS, terrain.CELL), np.empty((10_000, 2), np.int64)
+        self.tile_of, self.at = np.empty(POINTS, np.int32), np.empty(POINTS, np.int32)
+
+    def take(self, scan: Scan, revision: int) -> None:
+        timed, T, per_m = self.clock.time, scan.T_world_sensor.matrix, HRM.cells_per_m
+        i0, j0 = (int(c) - rasterise.WINDOW // 2 for c in HRM.cell(T[:2, 3]))
+        dropped = np.zeros(5, np.int64)
+        lattice = (per_m, i0, j0, 0.0, RANGE_M**2, ACROSS)
+        timed(POINT_LIST, terrain_points.locate, scan.points, T, *lattice, *self.points, dropped, self.later)
+        count = timed(HEIGHTS, self._heights, len(scan.points), T[2, 3])
+        grid = (self.grid, self.first_slot - count)
+        timed(GRADIENTS, terrain_planes.difference_neighbours, self.places, count, *grid, per_m, self.cells)
+        where = (self.places, count, i0, j0, T, per_m, RANGE_M, MODEL.subcells)
+        timed(CONFIDENCE, terrain_planes.assess, self.sums, *where, self.cells)
+        timed(OCCUPATION, terrain_planes.occupy_all, count, MODEL.max_slope, self.cells)
+        timed(INTO_HRM, self._into_hrm, count, i0, j0, scan.stamp_ns, revision)
+        llrm = timed(INTO_LLRM, self._coarsen)
+        timed(INTO_GLRM, self.into_glrm, fuse, llrm)
+
+    def _heights(self, count: int, sensor_z: float) -> int:
+        cells = terrain_points.add_up(*self.points, count, self.grid, self.first_slot, self.places, self.sums)
+        self.first_slot += cells
+        terrain_planes.fit(self.sums, cells, sensor_z, HRM.cells_per_m, MODEL.least_spread, self.cells)
+        return int(cells)
+
+    def _into_hrm(self, count: int, i0: int, j0: int, stamp_ns: int, revision: int) -> None:
+        tiles, _ = rasterise.divide(self.places, self.cells, count, i0, j0, SIDE, self.keys, self.tile_of, self.at)
+        assert tiles == 1
+        addresses = np.array([self.hrm.ctypes.data])
+        cells = self.cells[:count]
+        terrain.merge(addresses, self.tile_of[:count], self.at[:count], cells, stamp_ns, revision, FINE)
+
+    def _coarsen(self) -> Array:
+        out = np.zeros((SIDE // FACTOR, SIDE // FACTOR), terrain.CELL)
+        terrain_coarsen.coarsen(self.hrm.reshape(SIDE, SIDE), FACTOR, FINE, out)
+        return out
+
+
+def fuse(own: Array, new: Array) -> Array:
+    terrain.fuse(own, new, COARSE)
+    return own
+
+
+class Reference(Maps):
+    """The same by NumPy."""
+
+    def take(self, scan: Scan, revision: int) -> None:
+        timed, T, per_m = self.clock.time, scan.T_world_sensor.matrix, HRM.cells_per_m
+        i, j, *uvw = timed(POINT_LIST, terrain_points.locate_reference, scan.points, T, per_m, 0.0, RANGE_M)
+        i, j, sums, cells = timed(HEIGHTS, self._heights, i, j, uvw, T[2, 3])
+        timed(GRADIENTS, terrain_planes.difference_neighbours_reference, i, j, cells, per_m)
+        where = (i, j, sums, T, per_m, RANGE_M, MODEL.subcells)
+        cells["confidence"] = timed(CONFIDENCE, terrain_planes.assess_reference, *where)
+        timed(OCCUPATION, terrain_planes.occupy_reference, cells, MODEL.max_slope)
+        timed(INTO_HRM, self._into_hrm, i, j, cells, scan.stamp_ns, revision)
+        fine = self.hrm.reshape(SIDE, SIDE)
+        llrm = timed(INTO_LLRM, terrain_coarsen.coarsen_reference, fine, FACTOR, FINE)
+        timed(INTO_GLRM, self.into_glrm, fuse_reference, llrm)
+
+    def _heights(self, i: Array, j: Array, uvw: list[Array], sensor_z: float) -> tuple[Array, Array, Array, Array]:
+        i, j, sums = terrain_points.add_up_reference(i, j, *uvw, ACROSS)
+        return i, j, sums, terrain_planes.fit_reference(sums, sensor_z, HRM.cells_per_m, MODEL.least_spread)
+
+    def _into_hrm(self, i: Array, j: Array, cells: Array, stamp_ns: int, revision: int) -> None:
+        at = j * SIDE + i
+        self.hrm[at] = terrain.merge_reference(self.hrm[at], cells, stamp_ns, revision, FINE)
+
+
+def fuse_reference(own: Array, new: Array) -> Array:
+    return terrain.fuse_reference(own, new, COARSE)
+
+
+class Product:
+    """What a robot and a station really do: `Mapper.integrate`, then `Terrain.coarsen` and `Terrain.fuse`."""
+
+    def __init__(self) -> None:
+        self.clock = Clock()
+        self.mapper = Mapper("r1", HRM, MODEL)
+        self.glrm = np.zeros((SIDE // FACTOR) ** 2, terrain.CELL)
+
+    def take(self, scan: Scan, hrm: Array) -> None:
+        self.clock.time("Mapper.integrate", self.mapper.integrate, scan)
+        llrm = self.clock.time("Terrain.coarsen", MODEL.coarsen, hrm.reshape(SIDE, SIDE), FACTOR)
+        self.glrm = self.clock.time("Terrain.fuse", MODEL.fuse, self.glrm, llrm.reshape(-1), HRM.coarser(FACTOR))
+
+
+def scans(count: int) -> list[Scan]:
+    """Of a robot that drives 0.1 m a scan through the middle of its HRM: 64 beams, float32, in the sensor's frame."""
+    world, rng = scene(), np.random.default_rng(0)
+    lidar = Lidar(beams=64, columns=2200, lowest_deg=-24.8, highest_deg=2.0, max_range_m=RANGE_M)
+    out = []
+    for k in range(count):
+        x, y = 80.0 + 0.1 * k, 80.0
+        pose = Pose.identity().shifted(x, y, float(world.ground.height(x, y)) + 1.8)
+        points = scan(world, lidar, pose, 0.0, rng)
+        points = points[np.isfinite(points[:, 0])]
+        points = points[np.hypot(points[:, 0], points[:, 1]) < RANGE_M][:POINTS]
+        assert len(points) == POINTS, f"only {len(points)} returns"
+        out.append(Scan(k * 100_000_000, points, pose))
+    return out
+
+
+def agree(one: Maps, other: Maps) -> dict[str, float]:
+    """The largest difference between two maps, of each field of the cells."""
+    return {
+        name: float(np.abs(a[name].astype(np.float64) - b[name].astype(np.float64)).max())
+        for a, b in ((one.hrm, other.hrm), (one.glrm, other.glrm))
+        for name in ("height", "gradient_x", "gradient_y", "occupation", "confidence", "flags")
+    }
+
+
+def measure(count: int, rounds: int) -> dict[str, Any]:
+    stream = scans(count)
+    compiled, reference, product = Compiled(), Reference(), Product()
+    revision = 0
+    for _ in range(rounds):
+        for k, one in enumerate(stream):
+            revision += 1
+            later = Scan(revision * 100_000_000, one.points, one.T_world_sensor)
+            for contender in (compiled, reference, product):
+                contender.clock.scan = k
+            compiled.take(later, revision)
+            reference.take(later, revision)
+            product.take(later, compiled.hrm)
+    (tile,) = product.mapper.delta().tiles
+    assert tile.cells.tobytes() == compiled.hrm[tile.at].tobytes(), "the stages do not do what the mapper does"
+    ours, numpys, whole = (contender.clock.milliseconds() for contender in (compiled, reference, product))
+    total, total_numpy, total_product = sum(ours.values()), sum(numpys.values()), sum(whole.values())
+    return {
+        "machine": f"{platform.machine()}, Python {platform.python_version()}, NumPy {np.__version__}",
+        "scan": {"points": POINTS, "HRM cells known": int((compiled.hrm["flags"] > 0).sum())},
+        "milliseconds": {
+            stage: {
+                "terrafuse": round(ours[stage], 3),
+                "NumPy": round(numpys[stage], 2),
+                "ratio": round(numpys[stage] / ours[stage], 1),
+                "paper": list(PAPER_MS[stage]),
+            }
+            for stage in PAPER_MS
+        },
+        "whole scan": {
+            "terrafuse": round(total, 2),
+            "NumPy": round(total_numpy, 1),
+            "paper": [sum(robot) for robot in zip(*PAPER_MS.values(), strict=True)],
+        },
+        "as the product does it": {
+            **{stage: round(ms, 3) for stage, ms in whole.items()},
+            "sum": round(total_product, 2),
+        },
+        "ratios": {
+            "NumPy / terrafuse": round(total_numpy / total, 1),
+            "NumPy / as the product does it": round(total_numpy / total_product, 1),
+        },
+        "largest differences": agree(compiled, reference),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path, help="also write the figures to this file")
+    parser.add_argument("--scans", type=int, default=5)
+    parser.add_argument("--rounds", type=int, default=10)
+    arguments = parser.parse_args()
+    text = json.dumps(measure(arguments.scans, arguments.rounds), indent=1)
+    print(text)
+    if arguments.json:
+        arguments.json.write_text(text + "\n")
+
+
+if __name__ == "__main__":
+    main()

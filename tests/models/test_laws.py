@@ -62,5 +62,11 @@ class TestGrey(LawsOf):
         return mixed_scans(seed, count, (sonar,))
 
 
+class TestGreyInAChangingWorld(TestGrey):
+    """Only its merge is another."""
+
+    settings = {"mode": "changing"}  # noqa: RUF012
+
+
 def test_every_model_is_tested_here() -> None:
     assert {laws.name for laws in LawsOf.__subclasses__()} == set(MODELS)

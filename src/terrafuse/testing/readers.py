@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -18,6 +18,9 @@ from terrafuse.types import Scan, is_rigid
 class ReaderTests:
     """Subclass, and define the fixtures `reader` and `sample`: the path of a small log with at least one scan."""
 
+    options: Mapping[str, str] = {}
+    """What must follow the `?` for the sample to be read."""
+
     @pytest.fixture
     def reader(self) -> Reader:
         raise NotImplementedError
@@ -28,7 +31,7 @@ class ReaderTests:
 
     @pytest.fixture
     def log(self, reader: Reader, sample: Path) -> Log:
-        return open_log(Source(sample, {"reader": reader.name}))
+        return self._open(reader, sample)
 
     def test_stands_in_the_dict_under_its_name(self, reader: Reader) -> None:
         assert READERS[reader.name] is reader
@@ -63,7 +66,7 @@ class ReaderTests:
 
     def test_an_option_that_there_is_not_is_refused(self, reader: Reader, sample: Path) -> None:
         with pytest.raises(LogError, match="no_such_option"):
-            open_log(Source(sample, {"reader": reader.name, "no_such_option": "1"}))
+            self._open(reader, sample, no_such_option="1")
 
     @pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
     def test_a_log_that_was_cut_short_gives_whole_scans_or_an_error(
@@ -77,11 +80,14 @@ class ReaderTests:
         shutil.copy(sample, cut)
         with cut.open("r+b") as file:
             file.truncate(int(sample.stat().st_size * share))
-        whole = _content(open_log(Source(sample, {"reader": reader.name})).scans())
+        whole = _content(self._open(reader, sample).scans())
         read: list[Record] = []
         with suppress(LogError):
-            read.extend(open_log(Source(cut, {"reader": reader.name})).scans())
+            read.extend(self._open(reader, cut).scans())
         assert set(_content(iter(read[:-1]))) <= set(whole)
+
+    def _open(self, reader: Reader, path: Path, **options: str) -> Log:
+        return open_log(Source(path, {"reader": reader.name, **self.options, **options}))
 
 
 def _content(records: Iterator[Record]) -> list[tuple[object, ...]]:

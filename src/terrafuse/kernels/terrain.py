@@ -86,11 +86,20 @@ def half_power(x):
 
 
 @njit(inline="always")
-def aged(cell, stamp, later, rules):
+def new_memo():
+    """What `aged` remembers: an age in half-lives and what it leaves. Cells of one map share few ages."""
+    return np.array([0.0, 1.0])
+
+
+@njit(inline="always")
+def aged(cell, stamp, later, rules, memo):
     """The confidence that a cell of this stamp has left at `later`."""
     if cell.flags & PRIOR or later <= stamp:
         return np.float64(cell.confidence)
-    return cell.confidence * half_power((later - stamp) * rules.half_lives_per_ns)
+    half_lives = (later - stamp) * rules.half_lives_per_ns
+    if half_lives != memo[0]:
+        memo[0], memo[1] = half_lives, half_power(half_lives)
+    return cell.confidence * memo[1]
 
 
 @njit(inline="always")
@@ -185,7 +194,7 @@ def take(own, new, stamp):
 
 
 @njit(inline="always")
-def look(own, new, stamp, rules):
+def look(own, new, stamp, rules, memo):
     """A robot's own known cell takes in what it sees of it at `stamp`. Returns whether the cell changed.
 
     The rule, with memory: what is HELD is replaced only by a look that is surer by far, or by two in a row; and two
@@ -193,7 +202,8 @@ def look(own, new, stamp, rules):
     and a change under a surface that was looked at often enough would stay unseen until that had aged.
     """
     later = max(own.stamp, stamp)
-    confidence_own, confidence_new = aged(own, own.stamp, later, rules), aged(new, stamp, later, rules)
+    confidence_own = aged(own, own.stamp, later, rules, memo)
+    confidence_new = aged(new, stamp, later, rules, memo)
     verdict = outcome(own, new, confidence_own, confidence_new, rules)
     if verdict == BLEND:
         blend(own, new, confidence_own, confidence_new, rules)
@@ -231,13 +241,14 @@ def merge(tiles, tile_of, at, patch, stamp, revision, rules):
     tiles (T,) int64 addresses of the tiles' (T²,) CELL; patch (K,) CELL, of which record k belongs to position at[k] of
     tile tile_of[k], each once.
     """
+    memo = new_memo()
     last = at.shape[0] - 1
     for k in range(at.shape[0]):
         ahead = min(k + DISTANCE, last)
         prefetch_at(tiles[tile_of[ahead]] + np.int64(at[ahead]) * CELL_BYTES)
         own, new = record_at(_CELLS, tiles[tile_of[k]] + np.int64(at[k]) * CELL_BYTES), patch[k]
         if own.flags & HEIGHT:
-            if not look(own, new, stamp, rules):
+            if not look(own, new, stamp, rules, memo):
                 continue
         else:
             take(own, new, stamp)
@@ -245,10 +256,11 @@ def merge(tiles, tile_of, at, patch, stamp, revision, rules):
 
 
 @njit(inline="always")
-def meet(own, new, rules):
+def meet(own, new, rules, memo):
     """The global cell takes in another robot's; both know the height. Which is newer, the stamps say."""
     later = max(own.stamp, new.stamp)
-    confidence_own, confidence_new = aged(own, own.stamp, later, rules), aged(new, new.stamp, later, rules)
+    confidence_own = aged(own, own.stamp, later, rules, memo)
+    confidence_new = aged(new, new.stamp, later, rules, memo)
     verdict = outcome(own, new, confidence_own, confidence_new, rules)
     if verdict == BLEND:
         blend(own, new, confidence_own, confidence_new, rules)
@@ -263,13 +275,14 @@ def meet(own, new, rules):
 @njit(cache=True, nogil=True)
 def fuse(own_cells, new_cells, rules):
     """The next step of the fold, in place: own_cells[k] takes new_cells[k] in. Both (M,) CELL."""
+    memo = new_memo()
     for k in range(own_cells.shape[0]):
         own, new = own_cells[k], new_cells[k]
         if new.flags == 0:
             continue
         newer = new.stamp >= own.stamp
         if own.flags & HEIGHT and new.flags & HEIGHT:
-            meet(own, new, rules)
+            meet(own, new, rules, memo)
         elif new.flags & HEIGHT:
             take(own, new, new.stamp)
         elif not own.flags & HEIGHT:

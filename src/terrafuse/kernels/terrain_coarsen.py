@@ -16,6 +16,7 @@ from terrafuse.kernels.terrain import (
     Rules,
     aged,
     aged_reference,
+    new_memo,
 )
 from terrafuse.types import Array
 
@@ -30,30 +31,30 @@ def coarsen(cells, factor, rules, out):
     as of the newest stamp. The occupation is the worst of the cells that are sure enough, of all where none is.
     Of what is given, it promises the least that any of its cells does.
     """
-    some = np.empty(factor * factor + 1, np.int64)
+    some, memo = np.empty(factor * factor + 1, np.int64), new_memo()
+    flat = cells.reshape(-1)
     for j in range(out.shape[0]):
         for i in range(out.shape[1]):
-            square = cells[j * factor : (j + 1) * factor, i * factor : (i + 1) * factor]
-            own, count = out[j, i], list_known(square, factor, some)
+            own, count = out[j, i], list_known(flat, (j * cells.shape[1] + i) * factor, cells.shape[1], factor, some)
             for k in range(count):
-                cell = square[some[k] // factor, some[k] % factor]
+                cell = flat[some[k]]
                 own.stamp = max(own.stamp, cell.stamp)
                 own.revision = max(own.revision, cell.revision)
                 own.flags |= cell.flags
                 own.gps_quality = least(own.gps_quality, cell.gps_quality)
                 own.communications = least(own.communications, cell.communications)
             if own.flags & HEIGHT:
-                average(square, factor, some, count, rules, own)
+                average(flat, some, count, factor, rules, memo, own)
 
 
 @njit(inline="always")
-def list_known(square, factor, some):
-    """Write the flat positions of the known cells of a square to `some` (k² + 1,); returns how many there are."""
+def list_known(cells, first, width, factor, some):
+    """Write the indices of the known cells of the square from `first` on to `some` (k² + 1,); returns how many."""
     count = 0
     for row in range(factor):
         for column in range(factor):
-            some[count] = row * factor + column
-            count += square[row, column].flags != 0
+            some[count] = first + row * width + column
+            count += cells[some[count]].flags != 0
     return count
 
 
@@ -64,18 +65,18 @@ def least(a, b):
 
 
 @njit(inline="always")
-def average(square, factor, some, count, rules, own):
-    """Fill in the surface of a coarse cell from the known cells of a square, one of which at least knows its height."""
+def average(cells, some, count, factor, rules, memo, own):
+    """Fill in the surface of a coarse cell from its known cells, one of which at least knows its height."""
     known = weight = height = weight_x = weight_y = x = y = 0.0
     plain = plain_x = plain_y = 0.0
     known_x = known_y = 0.0
     sure, worst = np.float32(-1.0), np.float32(-1.0)
     prior = True
     for k in range(count):
-        cell = square[some[k] // factor, some[k] % factor]
+        cell = cells[some[k]]
         if not cell.flags & HEIGHT:
             continue
-        confidence = aged(cell, cell.stamp, own.stamp, rules)
+        confidence = aged(cell, cell.stamp, own.stamp, rules, memo)
         prior &= cell.flags & PRIOR != 0
         known += 1.0
         plain += cell.height

@@ -30,7 +30,7 @@ def test_the_readmes_python_runs(capsys: pytest.CaptureFixture[str]) -> None:
 def test_the_readmes_commands_run(mapped: Path, tmp_path: Path) -> None:
     """info and export as written, on a map of the tests (so with bounds of its own)."""
     lines = re.findall(r"^    terrafuse ((?:info|export) .*)$", (ROOT / "README.md").read_text(), re.MULTILINE)
-    assert len(lines) == 4
+    assert len(lines) == 5
     for line in lines:
         arguments = [a.replace("map/map.db", str(mapped / "map.db")) for a in shlex.split(line)]
         if "--bounds" in arguments:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -45,13 +46,24 @@ def band_names(file: Path | str) -> list[str]:
 def _opened(file: Path | str) -> Iterator[Any]:
     try:
         import rasterio
-        from rasterio.errors import RasterioError
+        from rasterio.errors import NotGeoreferencedWarning, RasterioError
     except ImportError as error:
         raise MissingExtra("a raster", "rasterio", "gis") from error
     if not Path(file).is_file():
         raise InputError(f"{file}: no such file")
     try:
-        with rasterio.open(file) as source:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", NotGeoreferencedWarning)
+            source = rasterio.open(file)
+    except NotGeoreferencedWarning as error:
+        raise InputError(
+            f"{file}: says nothing of where it lies; give a georeferenced raster (gdal_translate -a_ullr …), "
+            "or, of a ROS map, the .yaml"
+        ) from error
+    except RasterioError as error:
+        raise InputError(f"{file}: can't be read as a raster ({error}); is it a whole GeoTIFF?") from error
+    try:
+        with source:
             yield source
     except RasterioError as error:
         raise InputError(f"{file}: can't be read as a raster ({error}); is it a whole GeoTIFF?") from error
@@ -60,8 +72,6 @@ def _opened(file: Path | str) -> Iterator[Any]:
 def _read(source: Any, file: str, wanted: str | None, nodata: float | None) -> Raster:
     if source.width * source.height > MAX_CELLS:
         raise InputError(f"{file}: {source.width}×{source.height} pixels are too many; cut out a part, or coarsen it")
-    if source.transform.is_identity:
-        raise InputError(f"{file}: says nothing of where it lies; give a georeferenced raster (gdal_translate -a_ullr)")
     number = _band(source, file, wanted)
     raw = source.read(number, masked=True)
     values = raw.astype(np.float64).filled(np.nan) * source.scales[number - 1] + source.offsets[number - 1]

@@ -21,7 +21,8 @@ def compare_(
         str | None, typer.Option(help="Layer of the stores.  [default: height, or how surely occupied]")
     ] = None,
     band: Annotated[
-        str | None, typer.Option(help="Band of the rasters: number from 1 or name.  [default: as --layer, else 1]")
+        str | None,
+        typer.Option(help="Band of the rasters: number from 1 or name.  [default: as --layer, 'height', else 1]"),
     ] = None,
     bounds: Annotated[str | None, typer.Option(metavar="W,S,E,N", help="Part of A to look at, metres.")] = None,
     occupied_thresh: Annotated[float, typer.Option(help="Probability from which a cell is occupied.")] = 0.65,

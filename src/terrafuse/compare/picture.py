@@ -31,6 +31,8 @@ MOST = 0.98
 """Quantile of the distances at which the colours end."""
 AGREEMENT = ("#cfe3d4", "#4a5560", "#7fb0e6", "#f2a541", "#d7263d")
 """Both free, both occupied, only A, only B, differ: what agrees is quiet. Of a block of cells the last counts."""
+EMPTY = "#8f98a3"
+"""Dark enough that a difference of nothing, which is white, stands out from where there is none."""
 BOTH_FREE, BOTH_OCCUPIED, ONLY_A, ONLY_B, DIFFER = range(1, 6)
 NAMES = {BOTH_FREE: "free", BOTH_OCCUPIED: "occupied", ONLY_A: "only A", ONLY_B: "only B", DIFFER: "differ"}
 
@@ -54,7 +56,7 @@ def draw(overlay: Overlay, kind: str, question: Question, path: Path) -> Path:
     if path.suffix and file.parent == path and not path.is_dir():
         raise InputError(f"{path}: give a .png, or a folder")
     file.parent.mkdir(parents=True, exist_ok=True)
-    draw_subject(file, lambda: _subject(overlay, WAYS[kind], question))
+    draw_subject(file, lambda: _subject(overlay, WAYS[kind], question), title=f"{overlay.a.quantity} compared")
     return file
 
 
@@ -146,16 +148,16 @@ def _whole(_: Floats) -> Normalize:
     return BoundaryNorm(np.arange(0.5, len(AGREEMENT) + 1), len(AGREEMENT))
 
 
-def _nothing(*_: object) -> Floats:
-    raise NotImplementedError("a picture of a comparison has its values already")
+def _of_no_cells(*_: object) -> Floats:
+    raise TypeError("how two maps differ can't be computed from the cells of one")
 
 
 def _layer_of_values(overlay: Overlay) -> Layer:
-    return Layer("A − B", overlay.a.unit, _names(overlay), _nothing)
+    return Layer("A − B", overlay.a.unit, _names(overlay), _of_no_cells)
 
 
 def _layer_of_kinds(overlay: Overlay) -> Layer:
-    return Layer("agreement", "1", f"of free and occupied; {_names(overlay)}", _nothing)
+    return Layer("agreement", "1", f"of free and occupied; {_names(overlay)}", _of_no_cells)
 
 
 def _names(overlay: Overlay) -> str:
@@ -163,6 +165,6 @@ def _names(overlay: Overlay) -> str:
 
 
 WAYS = {
-    VALUES: Way(_difference, _mean, Look(_red_and_blue, _even), _layer_of_values),
+    VALUES: Way(_difference, _mean, Look(_red_and_blue, _even, unknown=EMPTY), _layer_of_values),
     "occupancy": Way(_agreement, _last, Look(_five, _whole, named=True, names=NAMES), _layer_of_kinds),
 }

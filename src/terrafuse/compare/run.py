@@ -91,11 +91,11 @@ def compare_maps(
 
 
 def kind_of(a: Source, b: Source, layer: str | None) -> str:
-    """Values where both suit that, occupancy where one of the two knows nothing else; a layer that is asked for is
-    compared by its values, unless the other is a ROS map, or both are occupancy by nature."""
-    natural = {source.natural for source in (a, b)} - {None}
-    ros = any(source.name.lower().endswith((".yaml", ".yml")) for source in (a, b))
-    return OCCUPANCY if ros or (OCCUPANCY in natural and layer is None) else VALUES
+    """Occupancy where one of the two is a ROS map, or a store of such a model; else, and where a layer of that store is
+    asked for, values."""
+    if a.only_occupancy or b.only_occupancy:
+        return OCCUPANCY
+    return OCCUPANCY if layer is None and OCCUPANCY in (a.natural, b.natural) else VALUES
 
 
 def laid_upon(a: Field, b: Field, bounds: Bounds | None) -> Overlay:

@@ -22,12 +22,14 @@ VALUES, OCCUPANCY = "values", "occupancy"
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """`values` (H, W), NaN unknown, on a grid; `name` is the file's, `what` says what they are, in words."""
+    """`values` (H, W), NaN unknown, on a grid; `name` is the file's, `quantity` the layer's or band's; `what` says all of
+    it in words."""
 
     values: Floats
     grid: Grid
     unit: str
     name: str
+    quantity: str
     what: str
 
 
@@ -36,9 +38,10 @@ class Source:
     """Something that can be compared. `natural` is the kind of comparison that suits it, None where any does;
     `field(kind, layer, band)` reads it for one."""
 
-    name: str
     natural: str | None
     field: Callable[[str, str | None, str | None], Field]
+    only_occupancy: bool = False
+    """Whether it has no other values."""
 
 
 def open_source(path: Path) -> Source:
@@ -46,14 +49,14 @@ def open_source(path: Path) -> Source:
     if not path.is_file():
         raise InputError(f"{path}: no such file; give a store, a raster (GeoTIFF) or the .yaml of a ROS map")
     if path.suffix.lower() in (".yaml", ".yml"):
-        return Source(str(path), OCCUPANCY, lambda kind, layer, band: _ros_field(path))
+        return Source(OCCUPANCY, lambda kind, layer, band: _ros_field(path), only_occupancy=True)
     with path.open("rb") as file:
         start = file.read(16)
     if start.startswith(b"SQLite format 3"):
         with SqliteStore.open(path) as store:
             natural = _natural(store.model)
-        return Source(str(path), natural, lambda kind, layer, band: _store_field(path, kind, layer))
-    return Source(str(path), None, lambda kind, layer, band: _raster_field(path, layer, band))
+        return Source(natural, lambda kind, layer, band: _store_field(path, kind, layer))
+    return Source(None, lambda kind, layer, band: _raster_field(path, layer, band))
 
 
 def _natural(model: Model) -> str:
@@ -64,7 +67,7 @@ def _natural(model: Model) -> str:
 def _ros_field(path: Path) -> Field:
     ros_map = read_map(path)
     about = f"ROS map ({ros_map.meaning.mode}), {_sides(ros_map.grid)}"
-    return Field(ros_map.probability, ros_map.grid, "1", path.name, about)
+    return Field(ros_map.probability, ros_map.grid, "1", path.name, "occupancy", about)
 
 
 def _raster_field(path: Path, layer: str | None, band: str | None) -> Field:
@@ -75,7 +78,12 @@ def _raster_field(path: Path, layer: str | None, band: str | None) -> Field:
             raise
         raster = read_raster(path)  # a truth raster need not call its band as we call our layer
     return Field(
-        raster.values, raster.grid, raster.unit, path.name, f"{raster.band} of a raster, {_sides(raster.grid)}"
+        raster.values,
+        raster.grid,
+        raster.unit,
+        path.name,
+        raster.band,
+        f"{raster.band} of a raster, {_sides(raster.grid)}",
     )
 
 
@@ -86,7 +94,7 @@ def _store_field(path: Path, kind: str, name: str | None) -> Field:
         window = views.window_of(replica, None)
         values = views.mosaic(replica, [layer], window)[layer.name][::-1]
         about = f"{layer.name} of {replica.model.name}, {_cells(replica.lattice)}, of {', '.join(replica.robots)}"
-    return Field(values, window_grid(replica.lattice, window), layer.unit, path.name, about)
+    return Field(values, window_grid(replica.lattice, window), layer.unit, path.name, layer.name, about)
 
 
 def _layer(replica: Replica, kind: str, name: str | None) -> Layer:

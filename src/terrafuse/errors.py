@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
 
 class TerrafuseError(Exception):
-    """Base of everything terrafuse raises on purpose. `exit_code` is what the command line ends with."""
+    """Base of everything terrafuse raises on purpose. `exit_code` is what the command line ends with, `facts` what it
+    says as JSON beside the message."""
 
     exit_code = 1
+    facts: Mapping[str, Any] = MappingProxyType({})
 
 
 class InputError(TerrafuseError):
@@ -54,3 +60,12 @@ class StoreMismatch(StoreError, InputError):  # noqa: N818, reads as one
 
 class OutputError(InputError):
     """A result can't be written: no space, no permission. What existed before is untouched."""
+
+
+class NoPath(TerrafuseError):  # noqa: N818, the lack of one is the error
+    """No way leads from the start to the goal. `facts["reason"]` is outside, obstacle, too_near or unknown, of the
+    `facts["end"]` start or goal; or not_connected. `facts["nearest"]` is the nearest place of which that is not so."""
+
+    def __init__(self, message: str, **facts: Any) -> None:
+        super().__init__(message)
+        self.facts = facts

@@ -24,7 +24,7 @@ def say_json(value: Mapping[str, Any]) -> None:
 def fail(error: TerrafuseError, as_json: bool) -> int:
     """Report an error; returns the exit code."""
     if as_json:
-        say_json({"error": str(error), "kind": type(error).__name__, "exit_code": error.exit_code})
+        say_json({"error": str(error), "kind": type(error).__name__, "exit_code": error.exit_code, **error.facts})
     print(f"error: {error}", file=sys.stderr)
     return error.exit_code
 

@@ -436,6 +436,12 @@ def test_maps_without_anything_known(tmp_path: Path) -> None:
     assert not (tmp_path / "map.db").exists()
 
 
+def test_cells_that_are_too_small_to_count(tmp_path: Path) -> None:
+    source = write_ros(tmp_path / "map.yaml", ALL, placement=Placement(10.0))
+    with pytest.raises(InputError, match=r"160000×160000 cells of 0\.001 m are too many"):
+        import_map(source, tmp_path / "map.db", Wishes(resample=True, resolution_m=0.001))
+
+
 def test_tiles_that_do_not_fit(tmp_path: Path) -> None:
     with pytest.raises(LatticeError, match="does not divide"):
         import_map(write_ros(tmp_path / "map.yaml", ALL), tmp_path / "map.db", Wishes(tile_m=0.25))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,13 @@ from hypothesis import strategies as st
 
 from terrafuse.errors import InputError, OutputError
 from terrafuse.export import export_map
+from terrafuse.lattice import Lattice
+from terrafuse.models import MODELS, make_model
 from terrafuse.replica import Replica
 from terrafuse.rosmap import Meaning, Placement, RosMap, percent, pixels, probability, read_map
 from terrafuse.rosmap.files import description, read_image
-from terrafuse.types import Bounds
+from terrafuse.testing.deltas import deltas_of, random_scans
+from terrafuse.types import Beam, Bounds
 from terrafuse.views import known_window, mosaic
 
 ALL = np.arange(256, dtype=np.uint8).reshape(1, -1)
@@ -175,9 +179,36 @@ def test_a_full_disk_leaves_both_files_as_they_were(
     def fail(*_args: object) -> None:
         raise OSError(errno.ENOSPC, "full")
 
-    for name in ("map.yaml", "map.pgm"):
-        (tmp_path / name).write_text("old")
-    monkeypatch.setattr(os, "fsync", fail)
-    with pytest.raises(OutputError, match="no space left"):
-        export_map(local_map, tmp_path / "map.yaml")
-    assert {p.name: p.read_text() for p in tmp_path.iterdir()} == {"map.yaml": "old", "map.pgm": "old"}
+    old = {"map.yaml": "image: map.pgm\n", "map.pgm": "old"}
+    for name, text in old.items():
+        (tmp_path / name).write_text(text)
+    with monkeypatch.context() as full:
+        full.setattr(os, "fsync", fail)
+        with pytest.raises(OutputError, match="no space left"):
+            export_map(local_map, tmp_path / "map.yaml")
+    assert {p.name: p.read_text() for p in tmp_path.iterdir()} == old
+    export_map(local_map, tmp_path / "map.yaml")
+    assert read_map(tmp_path / "map.yaml").grey.size > 0
+
+
+def test_a_picture_that_happens_to_have_the_images_name_stays(local_map: Replica, tmp_path: Path) -> None:
+    (tmp_path / "map.png").write_text("the picture of a mapping run")
+    with pytest.raises(InputError, match=r"map\.png: is there already, and belongs to no such map"):
+        export_map(local_map, tmp_path / "map.yaml", mode="scale")
+    assert os.listdir(tmp_path) == ["map.png"]
+
+
+@pytest.mark.parametrize("name", sorted(MODELS))
+def test_every_model_has_something_to_show(name: str, tmp_path: Path) -> None:
+    """Its `occupied`, cell by cell: raw mode holds it in whole percent."""
+    lattice, model = Lattice(0.5, 10.0), make_model(name)
+    replica = Replica(lattice, model)
+    cone = Beam(half_angle_rad=0.2, range_error_m=0.2, max_range_m=20.0)  # which models of surfaces don't ask about
+    scans = [replace(scan, beam=cone) for scan in random_scans(1, 3, points=400)]
+    for delta in deltas_of("r1", scans, lattice, model):
+        replica.apply(delta)
+    export_map(replica, tmp_path / "map.yaml", mode="raw")
+    values = mosaic(replica, [model.occupied], known_window(replica))[model.occupied.name]
+    expected = np.where(np.isnan(values), -1, np.floor(np.nan_to_num(values) * 100 + 0.5))
+    np.testing.assert_array_equal(read_map(tmp_path / "map.yaml").occupancy, expected)
+    assert (expected >= 0).any()

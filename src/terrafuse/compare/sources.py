@@ -22,8 +22,8 @@ VALUES, OCCUPANCY = "values", "occupancy"
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """`values` (H, W), NaN unknown, on a grid; `name` is the file's, `quantity` the layer's or band's; `what` says all of
-    it in words."""
+    """`values` (H, W), NaN unknown, on a grid; `name` is the file's, `quantity` the layer's or band's; `what` says all
+    of it in words."""
 
     values: Floats
     grid: Grid

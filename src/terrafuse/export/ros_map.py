@@ -60,8 +60,17 @@ def write_ros_map(
     image = target.with_suffix(image_suffix(ros_map))
     if image == target:
         raise InputError(f"{target}: that is the image's name; give --out a .yaml")
+    _check_image(image, target)
     with final(target) as yaml_file, final(image) as image_file:
         write_map(ros_map, yaml_file, image_file, image.name)
+
+
+def _check_image(image: Path, target: Path) -> None:
+    """Raise InputError where the image would replace a file that is not the image of the map that is replaced."""
+    if image.exists():
+        former = target.read_text(errors="replace") if target.is_file() else ""
+        if f"image: {image.name}\n" not in former:
+            raise InputError(f"{image}: is there already, and belongs to no such map; choose another --out")
 
 
 def _layer(replica: Replica, names: Sequence[str] | None) -> Layer:

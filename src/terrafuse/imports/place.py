@@ -14,6 +14,9 @@ from terrafuse.types import Array
 TOLERANCE_CELLS = 1e-6
 """How far a raster may lie off the lattice: the rounding of coordinates, not a shift that anybody could measure."""
 
+MAX_CELLS = 10**8
+"""To resample to; some 5 GB of coordinates on the way."""
+
 
 def plain(resolution_m: float) -> float:
     """The resolution as it was meant: ROS keeps it in 32 bits, so that 0.05 comes as 0.05000000074505806."""
@@ -53,5 +56,9 @@ def nearest(grid: Grid, lattice: Lattice) -> tuple[tuple[int, int, int, int], Ar
     if window[0] >= window[2] or window[1] >= window[3]:
         raise InputError(f"no centre of a cell of {lattice.resolution_m:g} m lies in it; use smaller cells")
     cells = window_grid(lattice, window)
+    if cells.rows * cells.columns > MAX_CELLS:
+        raise InputError(
+            f"{cells.columns}×{cells.rows} cells of {lattice.resolution_m:g} m are too many; use larger ones"
+        )
     x, y = transformed(*cells.centres(0, cells.rows), lattice.crs, grid.crs)
     return window, *grid.locate(x, y)

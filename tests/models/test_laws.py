@@ -38,8 +38,8 @@ class TestStaticElevation(TestElevation):
 
 
 class TestTerrain(LawsOf):
-    """Sums of weights: commutative to the last bit, associative only as far as they are rounded; and coarsening
-    rounds the weights themselves."""
+    """Stamps say which cell is newer, whatever the order of the two; which of three surfaces meet first decides.
+    Coarsening composes only to rounding, and not where gradients are unknown."""
 
     name = "terrain"
     gaps = frozenset({"gradient_x", "gradient_y", "occupation", "gps_quality", "communications"})

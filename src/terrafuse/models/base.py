@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from terrafuse.errors import InputError
 from terrafuse.kernels.grouping import by_tile
 from terrafuse.lattice import Lattice
 from terrafuse.tile import RecordTile, Tile, opaque
@@ -50,7 +51,8 @@ class Patch:
     """A patch as records grouped by tile: what a model needs that has no layout of its own.
 
     Records `starts[t]:starts[t + 1]` belong to tile `keys[t]`; `at` has each one's flat position in its tile,
-    j·tile_cells + i, each position once. The arrays are the observer's scratch: they hold until its next scan.
+    j·tile_cells + i, each position once. The arrays are the observer's scratch: they hold until its
+    next scan.
     """
 
     keys: Sequence[TileKey]
@@ -69,6 +71,36 @@ class Patch:
         for t, tile in enumerate(tiles):
             part = slice(self.starts[t], self.starts[t + 1])
             tile.merge(self.at[part], self.records[part], stamp_ns, revision)
+
+
+@dataclass(frozen=True, eq=False)
+class UnsortedPatch:
+    """A patch as its kernel made it: (K,) records in the order in which the cells were met, of which number k belongs
+    to position at[k] of the tile keys[tile_of[k]].
+
+    The arrays are the observer's scratch: they hold until its next scan. A model that has such patches adds
+    `merge_into`, one call of its kernel for all tiles.
+    """
+
+    keys: Sequence[TileKey]
+    tile_of: Array
+    at: Array
+    records: Array
+    points: int
+    dropped: Mapping[str, int]
+
+    @property
+    def cells(self) -> int:
+        return len(self.at)
+
+
+def checked_ends(what: str, ends: Array) -> Array:
+    """A scan's points, misses or origins as kernels take them: (N, 3 or more), float32 or float64, contiguous."""
+    if ends.ndim != 2 or ends.shape[1] < 3:
+        raise InputError(f"a scan's {what} are (N, 3), not {ends.shape}")
+    if ends.dtype not in (np.float32, np.float64):
+        ends = ends.astype(np.float64)
+    return np.ascontiguousarray(ends)
 
 
 def patch_of(

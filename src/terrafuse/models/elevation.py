@@ -15,7 +15,7 @@ from terrafuse.errors import InputError
 from terrafuse.kernels import absorb, evidence, rasterise
 from terrafuse.kernels.planes import fit_planes
 from terrafuse.lattice import Lattice
-from terrafuse.models.base import Layer, Reading
+from terrafuse.models.base import Layer, Reading, UnsortedPatch, checked_ends
 from terrafuse.tile import aligned_zeros
 from terrafuse.types import Array, Floats, Scan, TileKey
 
@@ -211,22 +211,10 @@ class ElevationTile:
 
 
 @dataclass(frozen=True, eq=False)
-class ElevationPatch:
-    """The evidence of one scan, in the order in which its cells were met: (K,) records, of which number k belongs to
-    position at[k] of the tile keys[tile_of[k]]. The arrays are the observer's scratch: they hold until its next scan.
-    """
+class ElevationPatch(UnsortedPatch):
+    """The evidence of one scan: (K,) EVIDENCE records."""
 
-    keys: Sequence[TileKey]
-    tile_of: Array
-    at: Array
-    records: Array
-    points: int
-    dropped: Mapping[str, int]
     rules: absorb.Rules
-
-    @property
-    def cells(self) -> int:
-        return len(self.at)
 
     def merge_into(self, tiles: Sequence[ElevationTile], stamp_ns: int, revision: int) -> None:
         states = np.array([tile.state for tile in tiles], absorb.STATE)
@@ -250,7 +238,7 @@ class ElevationObserver:
         T_world_sensor = scan.T_world_sensor.matrix
         dropped = np.zeros(5, np.int64)
         parts: list[ElevationPatch] = []
-        points = _checked(scan.points)
+        points = checked_ends("points", scan.points)
         centre = T_world_sensor[:2, 3]
         while len(points):
             points, part = self._pass(points, T_world_sensor, centre, dropped)
@@ -300,15 +288,6 @@ class ElevationObserver:
             self._scratch.grid.fill(-1)
             self._first_slot = 0
         return self._scratch
-
-
-def _checked(points: Array) -> Array:
-    """The points as the kernels take them: (N, 3 or more), float32 or float64, contiguous."""
-    if points.ndim != 2 or points.shape[1] < 3:
-        raise InputError(f"a scan's points are (N, 3), not {points.shape}")
-    if points.dtype not in (np.float32, np.float64):
-        points = points.astype(np.float64)
-    return np.ascontiguousarray(points)
 
 
 def _copy(patch: ElevationPatch) -> ElevationPatch:

@@ -16,7 +16,7 @@ import numpy as np
 from terrafuse.errors import InputError
 from terrafuse.kernels import occupancy, occupancy_beams, occupancy_sonar, rays
 from terrafuse.lattice import Lattice
-from terrafuse.models.base import Layer, Patch, patch_of
+from terrafuse.models.base import Layer, Patch, checked_ends, patch_of
 from terrafuse.tile import RecordTile
 from terrafuse.types import Array, Beam, Floats, Scan
 
@@ -166,10 +166,10 @@ class OccupancyObserver:
     def _segments(self, scan: Scan, longest: int) -> tuple[Floats, Array, Array]:
         """(ends (K, 4) in the world, marks (K,), dropped by reason) of the scan's beams, none over `longest` cells."""
         model, lattice, beam = self._model, self._lattice, scan.beam
-        points = _checked("points", scan.points)
-        misses = _checked("misses", np.empty((0, 3)) if scan.misses is None else scan.misses)
+        points = checked_ends("points", scan.points)
+        misses = checked_ends("misses", np.empty((0, 3)) if scan.misses is None else scan.misses)
         count = len(points) + len(misses)
-        origins = ORIGIN if scan.origins is None else _checked("origins", scan.origins).astype(np.float64)
+        origins = ORIGIN if scan.origins is None else checked_ends("origins", scan.origins).astype(np.float64)
         if scan.origins is not None and len(origins) != count:
             raise InputError(f"a scan of {count} points and misses has {len(origins)} origins; give one for each")
         ends, marks, dropped = np.empty((count, 4)), np.empty(count, np.bool_), np.zeros(6, np.int64)
@@ -190,12 +190,3 @@ class OccupancyObserver:
             dropped,
         )
         return ends[:used], marks[:used], dropped
-
-
-def _checked(what: str, points: Array) -> Array:
-    """As the kernels take them: (N, 3 or more), float32 or float64, contiguous."""
-    if points.ndim != 2 or points.shape[1] < 3:
-        raise InputError(f"a scan's {what} are (N, 3), not {points.shape}")
-    if points.dtype not in (np.float32, np.float64):
-        points = points.astype(np.float64)
-    return np.ascontiguousarray(points)

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from terrafuse.errors import InputError
 from terrafuse.kernels import rasterise, terrain, terrain_coarsen, terrain_planes, terrain_points
 from terrafuse.lattice import Lattice
-from terrafuse.models.base import Layer, Reading, patch_of
+from terrafuse.models.base import Layer, Reading, UnsortedPatch, checked_ends, patch_of
 from terrafuse.tile import RecordTile
 from terrafuse.types import Array, Floats, Scan, Stamp, TileKey
 
@@ -219,23 +219,10 @@ def _merge(rules: terrain.Rules, cells: Array, at: Array, patch: Array, stamp_ns
 
 
 @dataclass(frozen=True, eq=False)
-class TerrainPatch:
-    """The 3DLaserAuxMap of the paper: (K,) CELL records in the order in which the cells were met, of which number k
-    belongs to position at[k] of the tile keys[tile_of[k]]. The arrays are the observer's scratch: they hold until its
-    next scan.
-    """
+class TerrainPatch(UnsortedPatch):
+    """The 3DLaserAuxMap of the paper: (K,) CELL records."""
 
-    keys: Sequence[TileKey]
-    tile_of: Array
-    at: Array
-    records: Array
-    points: int
-    dropped: Mapping[str, int]
     rules: terrain.Rules
-
-    @property
-    def cells(self) -> int:
-        return len(self.at)
 
     def merge_into(self, tiles: Sequence[TerrainTile], stamp_ns: Stamp, revision: int) -> None:
         addresses = np.array([tile.address for tile in tiles], np.int64)
@@ -260,7 +247,7 @@ class TerrainObserver:
         self._reserve(1 << 14)
 
     def __call__(self, scan: Scan) -> TerrainPatch:
-        points = _checked(scan.points)
+        points = checked_ends("points", scan.points)
         T, max_range_m = scan.T_world_sensor.matrix, self._model.range_m(scan)
         dropped = np.zeros(5, np.int64)
         origin = self._lattice.cell(T[:2, 3]) - rasterise.WINDOW // 2
@@ -323,12 +310,3 @@ class TerrainObserver:
         if self._first_slot + capacity >= 2**31:
             self._grid.fill(0)
             self._first_slot = 1
-
-
-def _checked(points: Array) -> Array:
-    """The points as the kernels take them: (N, 3 or more), float32 or float64, contiguous."""
-    if points.ndim != 2 or points.shape[1] < 3:
-        raise InputError(f"a scan's points are (N, 3), not {points.shape}")
-    if points.dtype not in (np.float32, np.float64):
-        points = points.astype(np.float64)
-    return np.ascontiguousarray(points)

@@ -1,0 +1,104 @@
+"""The contract of a link: a node's one way to the others, whatever carries it (memory, Zenoh, the simulator's radio).
+
+A link moves *frames*: a topic and some bytes, at most `max_frame_bytes` of them. It promises little, so that every
+carrier can keep it, and the exchange relies on nothing more:
+
+* A frame arrives whole or not at all, at every node that listens to its topic, and never at the one that sent it. It
+  may be lost, come twice, late, after younger ones, or with other bytes than were sent. Who needs more, asks again.
+* Nothing arrives that nobody sent, and nothing before it was sent.
+* Sending and receiving return at once. Nothing is confirmed and nothing fails later: a frame that can't be carried now
+  is as good as lost. How much is worth sending is decided above the link, where a changed cell can wait as one cell.
+* Time is passed in: `now_ns` is of a clock that never runs backwards and that all links of one carrier share. A carrier
+  with a clock of its own ignores it. Nothing else reads a clock, so a simulated run is the same every time.
+* Frames wait at the receiver until they are asked for. One thread at a time may use a link.
+
+A topic is what a message is about, then whom it is from or for, parts divided by slashes:
+
+| topic | payload | who listens |
+|---|---|---|
+| `delta/ROBOT` | cells that this robot reports, whoever passes them on | every replica |
+| `global/ROBOT` | global cells for this robot | that robot |
+| `summary/NODE` | which revisions this node holds | whoever can help it |
+| `query/NODE`, `reply/NODE` | a question to this node, an answer for it | that node |
+| `pose/ROBOT`, `health/NODE` | where this robot is, how this node fares | whoever shows or judges it |
+| `correction/ROBOT` | a pose correction for this robot | that robot |
+
+Who sent a frame stands in its topic or payload. A carrier that knows credentials binds them to topics: it refuses what
+a node may not send there. Which frame is worth more is not the link's affair: what comes first is sent first.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple, Protocol
+
+from terrafuse.errors import InputError
+
+MAX_TOPIC = 500
+PART = re.compile(r"[^/*$#?+\x00-\x1f\x7f]+")
+"""Of a topic: without what Zenoh or MQTT take for a wildcard."""
+
+
+class Frame(NamedTuple):
+    """What a link carries."""
+
+    topic: str
+    payload: bytes
+
+
+class Link(Protocol):
+    """A node's end. See the module's text for what every link promises, and for what it does not."""
+
+    @property
+    def node(self) -> str:
+        """The name of the node whose end this is."""
+
+    @property
+    def max_frame_bytes(self) -> int:
+        """The most bytes of payload that a frame takes."""
+
+    def listen(self, topic: str) -> None:
+        """From now on, receive frames of this topic and of all topics below it: `delta` takes `delta/r1`, too.
+
+        Listening twice, or to a topic and to one above it, changes nothing: a frame is received once.
+        """
+
+    def send(self, topic: str, payload: bytes, now_ns: int) -> None:
+        """Send a frame. Raises InputError for a bad topic, too many bytes, or a closed link."""
+
+    def receive(self, now_ns: int) -> list[Frame]:
+        """The frames that arrived up to now, in the order of their arrival; each is handed out once.
+
+        Must be called now and then, by nodes that only send, too: some links do their work in it.
+        """
+
+    def close(self) -> None:
+        """Leave. Frames that have not arrived are lost. Closing twice is harmless; a closed link receives nothing."""
+
+
+def check_topic(topic: str) -> None:
+    """Raise InputError unless every carrier can tell this topic from all others."""
+    if len(topic) > MAX_TOPIC or not all(PART.fullmatch(part) for part in topic.split("/")):
+        raise InputError(
+            f"topic {topic!r}: give parts divided by single slashes, without any of * $ # ? +, "
+            f"{MAX_TOPIC} characters at most"
+        )
+
+
+def check_frame(link: Link, topic: str, payload: bytes) -> None:
+    """Raise InputError for what this link can't carry."""
+    check_topic(topic)
+    if len(payload) > link.max_frame_bytes:
+        raise InputError(
+            f"a frame of {len(payload)} bytes on '{topic}': the link of '{link.node}' takes {link.max_frame_bytes}; "
+            "split what it holds"
+        )
+
+
+def closed(link: Link, topic: str) -> InputError:
+    return InputError(f"the link of '{link.node}' is closed; make a new one to send on '{topic}'")
+
+
+def covers(topic: str, other: str) -> bool:
+    """Whether who listens to `topic` receives `other`."""
+    return other == topic or other.startswith(topic + "/")

@@ -110,8 +110,10 @@ def disturbed(payload: bytes, faults: Faults, fate: Floats, counts: Counter[str]
     if damaged < faults.corruption and payload:
         counts["corrupted"] += 1
         payload = flipped(payload, int(bit * 8 * len(payload)))
-    copies = 2 if doubled < faults.duplication else 1
-    counts["duplicated"] += copies - 1
+    copies = 1
+    if doubled < faults.duplication:
+        counts["duplicated"] += 1
+        copies = 2
     return [(_delay_ns(faults, delays[2 * k], delays[2 * k + 1], counts), payload) for k in range(copies)]
 
 

@@ -43,6 +43,7 @@ bench: setup
 accuracy: setup
 	$(BIN)/python -m tests.accuracy
 	$(BIN)/python -m tests.accuracy_terrain
+	$(BIN)/python -m tests.accuracy_occupancy
 
 wheel: setup
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .

@@ -23,13 +23,23 @@ from terrafuse.kernels.rays import (
 from terrafuse.types import Array
 
 Cells = list[tuple[int, int]]
+SIDE = 7
+"""Cells along a tile's side."""
 
 
-def traced(ends: Array, marks: Array, cells_per_m: float, tracer: Tracer | None = None) -> tuple[Cells, Cells]:
-    """(hit, crossed) cells in the order in which they come."""
-    i, j, hits = (tracer or Tracer(cells_per_m))(np.asarray(ends, np.float64).reshape(-1, 4), np.asarray(marks, bool))
-    cells = list(zip(i.tolist(), j.tolist(), strict=True))
-    return cells[:hits], cells[hits:]
+def traced(
+    ends: Array, marks: Array, cells_per_m: float, tracer: Tracer | None = None, side: int = SIDE
+) -> tuple[Cells, Cells]:
+    """(hit, crossed) cells, by tile in the order in which they come."""
+    tracer = tracer or Tracer(cells_per_m, side)
+    keys, starts, at, hit = tracer(np.asarray(ends, np.float64).reshape(-1, 4), np.asarray(marks, bool))
+    assert len(set(map(tuple, keys.tolist()))) == len(keys), "each tile once"
+    assert (np.diff(starts) > 0).all(), "no tile in vain"
+    low = np.repeat(keys, np.diff(starts), axis=0) * side
+    cells = [(int(i), int(j)) for i, j in zip(low[:, 0] + at % side, low[:, 1] + at // side, strict=True)]
+    return [cell for cell, end in zip(cells, hit, strict=True) if end], [
+        cell for cell, end in zip(cells, hit, strict=True) if not end
+    ]
 
 
 def crossed(*segment: float) -> set[tuple[int, int]]:
@@ -131,7 +141,7 @@ def test_hits_come_before_misses_and_each_cell_once() -> None:
 
 
 def test_one_scan_leaves_nothing_to_the_next() -> None:
-    tracer = Tracer(10.0)
+    tracer = Tracer(10.0, SIDE)
     rng = np.random.default_rng(0)
     for reach in (2.0, 30.0, 1.0, 12.0):
         ends, marks = rng.uniform(-reach, reach, (20, 4)), rng.random(20) < 0.5

@@ -14,9 +14,14 @@ def _group(i, j, side, seats, keys, starts, tile_of, at, order):
     mask = np.uint64(seats.shape[0] - 1)
     tiles = 0
     tile = -1
+    low_i = low_j = np.int64(0)
     for k in range(i.shape[0]):
-        x, y = i[k] // side, j[k] // side
-        if tile < 0 or keys[tile, 0] != x or keys[tile, 1] != y:  # neighbours in a list mostly share a tile
+        in_i, in_j = i[k] - low_i, j[k] - low_j
+        # Neighbours in a list mostly share a tile: then nothing is divided.
+        if tile < 0 or in_i < 0 or in_i >= side or in_j < 0 or in_j >= side:
+            x, y = i[k] // side, j[k] // side
+            low_i, low_j = x * side, y * side
+            in_i, in_j = i[k] - low_i, j[k] - low_j
             seat = (np.uint64(x) * np.uint64(0x9E3779B97F4A7C15) ^ np.uint64(y) * np.uint64(0xC2B2AE3D27D4EB4F)) & mask
             while seats[seat] >= 0 and (keys[seats[seat], 0] != x or keys[seats[seat], 1] != y):
                 seat = (seat + np.uint64(1)) & mask
@@ -29,7 +34,7 @@ def _group(i, j, side, seats, keys, starts, tile_of, at, order):
             tile = seats[seat]
         tile_of[k] = tile
         starts[tile + 1] += 1
-        at[k] = (j[k] - y * side) * side + (i[k] - x * side)
+        at[k] = in_j * side + in_i
     starts[0] = 0
     for t in range(tiles):
         starts[t + 1] += starts[t]
@@ -47,12 +52,18 @@ def by_tile(i: Array, j: Array, tile_cells: int) -> tuple[Array, Array, Array, A
     1]] belong to tile keys[t] = (x, y), and lie there at the flat positions j·tile_cells + i of the same range of `at`.
     """
     count = len(i)
-    seats = np.full(1 << max(1, 2 * count).bit_length(), -1, np.int64)
-    keys, starts = np.empty((count, 2), np.int64), np.zeros(count + 1, np.int64)
+    most = min(count, _across(i, tile_cells) * _across(j, tile_cells))
+    seats = np.full(1 << max(1, 2 * most).bit_length(), -1, np.int64)
+    keys, starts = np.empty((most, 2), np.int64), np.zeros(most + 1, np.int64)
     tile_of, order = np.empty(count, np.int64), np.empty(count, np.int64)
     at = np.empty(count, np.int32)
     tiles = _group(i, j, tile_cells, seats, keys, starts, tile_of, at, order)
     return keys[:tiles], starts[: tiles + 1], at[order], order
+
+
+def _across(index: Array, side: int) -> int:
+    """How many tiles lie from the first cell to the last."""
+    return int(index.max()) // side - int(index.min()) // side + 1 if len(index) else 0
 
 
 def by_tile_reference(i: Array, j: Array, tile_cells: int) -> dict[tuple[int, int], list[tuple[int, int]]]:

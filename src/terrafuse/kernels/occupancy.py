@@ -37,6 +37,14 @@ def probability(log_odds: Floats) -> Floats:
 
 
 @njit(cache=True, nogil=True)
+def read_rays(hit, hit_ticks, miss_ticks, readings):
+    """What rays say of cells: hit (K,) bool → readings (K,), one of each."""
+    for k in range(hit.shape[0]):
+        readings[k].ticks = hit_ticks if hit[k] else miss_ticks
+        readings[k].updates = 1
+
+
+@njit(cache=True, nogil=True)
 def take(cells, at, readings, stamp_ns, revision):
     """A robot's cells (T²,) CELL take in readings (K,) at distinct positions (K,), in place."""
     for k in range(at.shape[0]):

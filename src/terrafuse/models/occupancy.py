@@ -18,7 +18,7 @@ from terrafuse.kernels import occupancy, occupancy_beams, occupancy_sonar, rays
 from terrafuse.lattice import Lattice
 from terrafuse.models.base import Layer, Patch, checked_ends, patch_of
 from terrafuse.tile import RecordTile
-from terrafuse.types import Array, Beam, Floats, Scan
+from terrafuse.types import Array, Beam, Floats, Scan, TileKey
 
 FREE, OCCUPIED, UNDECIDED = 1, 2, 3
 ORIGIN = np.zeros((1, 3))
@@ -139,25 +139,32 @@ class OccupancyObserver:
 
     def __init__(self, model: Occupancy, lattice: Lattice) -> None:
         self._model, self._lattice = model, lattice
-        self._rays = rays.Tracer(lattice.cells_per_m)
+        self._rays = rays.Tracer(lattice.cells_per_m, lattice.tile_cells)
         self._cones = occupancy_sonar.Listener(
             lattice.cells_per_m, model.max_empty_evidence, model.max_occupied_evidence
         )
+        self._readings = np.empty(1 << 12, occupancy.READING)
 
     def __call__(self, scan: Scan) -> Patch:
-        beam = scan.beam
-        cone = beam.half_angle_rad > 0
-        ends, marks, dropped = self._segments(scan, occupancy_sonar.MAX_CONE_CELLS if cone else rays.MAX_RAY_CELLS)
-        if cone:
-            i, j, readings = self._cones(ends, marks, beam, max(beam.min_range_m, self._model.min_range_m))
-        else:
-            i, j, hits = self._rays(ends, marks)
-            readings = np.empty(len(i), occupancy.READING)
-            readings["updates"] = 1
-            readings["ticks"][:hits] = self._ticks(self._model.hit_probability, beam)
-            readings["ticks"][hits:] = self._ticks(self._model.miss_probability, beam)
+        cone = scan.beam.half_angle_rad > 0
+        longest = occupancy_sonar.MAX_CONE_CELLS if cone else rays.MAX_RAY_CELLS
+        ends, marks, dropped = self._segments(scan, longest)
         reasons = {name: int(n) for name, n in zip(occupancy_beams.REASONS, dropped, strict=True) if n}
-        return patch_of(i, j, readings, self._lattice, len(scan.points), reasons)
+        return (self._listened if cone else self._traced)(ends, marks, scan, reasons)
+
+    def _listened(self, ends: Floats, marks: Array, scan: Scan, dropped: Mapping[str, int]) -> Patch:
+        nearest_m = max(scan.beam.min_range_m, self._model.min_range_m)
+        i, j, readings = self._cones(ends, marks, scan.beam, nearest_m)
+        return patch_of(i, j, readings, self._lattice, len(scan.points), dropped)
+
+    def _traced(self, ends: Floats, marks: Array, scan: Scan, dropped: Mapping[str, int]) -> Patch:
+        keys, starts, at, hit = self._rays(ends, marks)
+        if len(self._readings) < len(at):
+            self._readings = np.empty(1 << (len(at) - 1).bit_length(), occupancy.READING)
+        model, readings = self._model, self._readings[: len(at)]
+        hit_ticks, miss_ticks = (self._ticks(p, scan.beam) for p in (model.hit_probability, model.miss_probability))
+        occupancy.read_rays(hit, hit_ticks, miss_ticks, readings)
+        return Patch([TileKey(int(x), int(y)) for x, y in keys], starts, at, readings, len(scan.points), dropped)
 
     def _ticks(self, probability: float, beam: Beam) -> int:
         """Of a ray; a sensor that is believed half says half as far from ½."""

@@ -39,11 +39,15 @@ format: setup
 
 bench: setup
 	$(BIN)/python -m bench
+	$(BIN)/python -m bench.patrol
+	$(BIN)/python -m bench.rays
+	$(BIN)/python -m bench.sonar
 
 accuracy: setup
 	$(BIN)/python -m tests.accuracy
 	$(BIN)/python -m tests.accuracy_terrain
 	$(BIN)/python -m tests.accuracy_occupancy
+	$(BIN)/python -m tests.accuracy_windows
 
 wheel: setup
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .

@@ -28,10 +28,11 @@ def row(occupied: list[float], robot: Robot, resolution_m: float = 1.0) -> list[
 
 
 def test_the_price_of_what_may_be_occupied() -> None:
-    """1 + 1·p/0.65: p = 0.13 costs 1.2, 0.325 costs 1.5, 0.64 costs 1.985; from 0.65 on it is an obstacle."""
-    assert row([0.0, 0.13, 0.325, 0.64, 0.65, 1.0], POINT) == [100, 120, 150, 198, OBSTACLE, OBSTACLE]
+    """1 + 1·(p/0.325 - 1) over 0.325: p = 0.39 costs 1.2, 0.4875 costs 1.5, 0.64 costs 1.969; from 0.65 on it is an
+    obstacle."""
+    assert row([0.0, 0.3, 0.39, 0.4875, 0.64, 0.65, 1.0], POINT) == [100, 100, 120, 150, 197, OBSTACLE, OBSTACLE]
     assert row([0.0, 0.5], Robot(0.0, keep_away_m=0.0, occupied_from=0.5)) == [100, OBSTACLE]
-    assert row([0.13], Robot(0.0, keep_away_m=0.0, occupied_price=0.0)) == [100]
+    assert row([0.6], Robot(0.0, keep_away_m=0.0, occupied_price=0.0)) == [100]
 
 
 def test_obstacles_are_as_wide_as_the_robot_needs() -> None:
@@ -100,7 +101,7 @@ def test_a_window_sees_obstacles_beyond_its_edge() -> None:
 
 def test_a_window_may_reach_beyond_the_map() -> None:
     wide = cost_map(occupancy_map(".."), Robot(0.0, "forbid"), Bounds(-2, 0, 3, 2))
-    assert wide.costs.tolist() == [[-1, -1, 101, 101, -1], [-1] * 5]  # p = 0.0067: 1 + 0.0067/0.65 = 1.0103
+    assert wide.costs.tolist() == [[-1, -1, 100, 100, -1], [-1] * 5]
     assert wide.unknown.tolist() == [[True, True, False, False, True], [True] * 5]
 
 

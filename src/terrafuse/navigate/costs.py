@@ -92,8 +92,8 @@ def priced(occupied: Floats, slope: Floats | None, robot: Robot, resolution_m: f
     """Costs (H, W) int16 of cells that are so surely occupied, 0 to 1, NaN unknown, and so steep.
 
     A cell is too near where the centre of an obstacle is nearer than the robot's radius and half a cell. Else a metre
-    costs 1 + occupied_price · p/occupied_from (unknown: unknown_price, or 1) + keep_away_price · n; n falls from 1,
-    where the robot just fits, to 0, keep_away_m further away.
+    costs 1 + occupied_price · max(0, 2p/occupied_from - 1) (unknown: unknown_price, or 1) + keep_away_price · n, where
+    n falls from 1, where the robot just fits, to 0, keep_away_m further away.
     """
     obstacle = occupied >= robot.occupied_from
     if slope is not None and robot.max_slope is not None:
@@ -113,7 +113,8 @@ def priced(occupied: Floats, slope: Floats | None, robot: Robot, resolution_m: f
 
 
 def _ground(occupied: Floats, robot: Robot) -> Floats:
-    known = 1.0 + robot.occupied_price * np.clip(occupied / robot.occupied_from, 0.0, 1.0)
+    # From half of the threshold on: else ground seen once or twice would be dearer than what nobody saw.
+    known = 1.0 + robot.occupied_price * np.clip(2.0 * occupied / robot.occupied_from - 1.0, 0.0, 1.0)
     return np.where(np.isnan(occupied), robot.unknown_price if robot.unknown == "avoid" else 1.0, known)
 
 

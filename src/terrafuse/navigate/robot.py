@@ -36,7 +36,7 @@ class Robot:
     keep_away_price: Price = 2.0
     """What a metre costs more right beside an obstacle; falls to 0 over `keep_away_m`."""
     occupied_price: Price = 1.0
-    """What a metre costs more that is nearly an obstacle; falls to 0 with how surely it is occupied."""
+    """What a metre costs more that is nearly an obstacle; falls to 0 at half of `occupied_from`."""
     unknown_price: Annotated[Number, Field(ge=1, le=100)] = 4.0
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", allow_inf_nan=False)

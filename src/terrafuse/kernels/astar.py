@@ -25,7 +25,8 @@ DI = np.array([1, 0, -1, 0, 1, -1, -1, 1], np.int64)
 DJ = np.array([0, 1, 0, -1, 1, 1, -1, -1], np.int64)
 """East, north, west, south, then the diagonals."""
 
-MAX_CELLS = 2**31 - 1
+MAX_CELLS = 2**29
+"""Three times as many, which a rim makes of a single row, can still be counted in 32 bits."""
 UNSEEN, START, TAKEN = 0, 9, 16
 """A cell's state: 0, or 1 + the direction in which it was reached (START: none), plus TAKEN once that is final."""
 FIRST_ROOM = 1024

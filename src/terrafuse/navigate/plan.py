@@ -49,7 +49,7 @@ def plan(costs: Array, start: Cell, goal: Cell) -> Plan:
     A step from a cell to a neighbour costs the mean of the two, times √2 if it is diagonal; that needs both cells
     beside it to be free. Of ways that cost the same, the one that the order of the search prefers: always the same.
     """
-    if costs.dtype != np.int16 or costs.ndim != 2 or not 0 < costs.size < MAX_CELLS:
+    if costs.dtype != np.int16 or costs.ndim != 2 or not 0 < costs.size <= MAX_CELLS:
         raise InputError(
             f"costs of shape {costs.shape} and type {costs.dtype}; give int16 in two dimensions, not empty"
         )

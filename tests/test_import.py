@@ -72,7 +72,7 @@ def test_all_256_greys(mode: str, thresholds: tuple[float, float], negate: bool,
     assert_same(round_trip(source, tmp_path), read_map(source))
 
 
-@settings(max_examples=20)
+@settings(max_examples=40)
 @given(data=st.data())
 def test_any_greys(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
     folder = tmp_path_factory.mktemp("ros")

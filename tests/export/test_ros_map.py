@@ -111,6 +111,7 @@ def test_scale_keeps_all_256_greys(negate: bool) -> None:
 def test_thresholds_that_leave_no_grey_for_unknown() -> None:
     with pytest.raises(InputError, match="no grey of 8 bits"):
         pixels(np.array([[np.nan]]), Meaning("trinary", 0.501, 0.5))
+    assert pixels(np.array([[0.0, 1.0]]), Meaning("trinary", 0.501, 0.5))[0].tolist() == [[254, 0]]
     with pytest.raises(InputError, match="0 ≤ free_thresh < occupied_thresh ≤ 1"):
         Meaning("trinary", 0.2, 0.6)
     with pytest.raises(InputError, match="mode 'trinity': there are trinary, scale, raw"):

@@ -19,7 +19,7 @@ from terrafuse.lattice import Lattice
 from terrafuse.models import make_model
 from terrafuse.models.base import Model
 from terrafuse.rosmap.files import read_map
-from terrafuse.rosmap.meaning import MODES
+from terrafuse.rosmap.meaning import pixels
 from terrafuse.rosmap.memory import NOTE, remember
 from terrafuse.rosmap.types import Placement, RosMap
 from terrafuse.tile import opaque
@@ -68,11 +68,10 @@ def resampled(ros_map: RosMap, lattice: Lattice) -> tuple[tuple[int, int], RosMa
     """(cell of the lower-left pixel, the map north-up on the lattice): each cell takes the pixel that its centre lies
     in, and is unknown where it lies in none."""
     (i0, j0, *_), row, column, inside = nearest(ros_map.grid, lattice)
-    unknown = MODES[ros_map.meaning.mode].unknown(ros_map.meaning)
-    grey = np.where(inside, ros_map.grey[row, column], np.uint8(128 if unknown is None else unknown))
-    seen = np.ones(inside.shape, bool) if ros_map.opaque is None else ros_map.opaque[row, column] | ~inside
-    if unknown is None:
-        seen &= inside
+    seen = np.ones(inside.shape, bool) if ros_map.opaque is None else ros_map.opaque[row, column]
+    nothing, nowhere_seen = pixels(np.full(inside.shape, np.nan), ros_map.meaning)
+    grey = np.where(inside, ros_map.grey[row, column], nothing)
+    seen = np.where(inside, seen, nowhere_seen is None)
     here = Placement(lattice.resolution_m, corner(lattice, i0), corner(lattice, j0))
     return (i0, j0), replace(ros_map, placement=here, grey=grey, opaque=None if seen.all() else seen)
 

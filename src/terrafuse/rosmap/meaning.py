@@ -26,6 +26,7 @@ from terrafuse.types import Array, Floats
 UNKNOWN_GREY = 205
 """What map_saver writes for unknown in trinary mode: occ = 50/255 = 0.19608, above the usual free_thresh 0.196."""
 FREE_GREY = 254
+TRANSPARENT_GREY = 128
 UNKNOWN_PERCENT = -1
 
 
@@ -48,9 +49,15 @@ class Meaning:
             )
 
     @property
-    def trinary_greys(self) -> tuple[int, int, int]:
-        """(occupied, free, unknown) greys that trinary mode reads as that: 0, 254 and 205, as map_saver writes them,
-        where the thresholds leave them so. Raises InputError where no grey lies between the thresholds."""
+    def sure_greys(self) -> tuple[int, int]:
+        """(occupied, free) greys of trinary mode: 0 and 254, as map_saver writes them, or 255 where 254 is not free."""
+        free = FREE_GREY if self.free_thresh >= 1 / 255 else 255
+        return (255, 255 - free) if self.negate else (0, free)
+
+    @property
+    def unknown_grey(self) -> int:
+        """The grey of unknown in trinary mode: 205, as map_saver writes it, or one that lies between the thresholds.
+        Raises InputError where none does."""
         whole = np.arange(256)
         occ = _occ(whole, self)
         between = whole[(occ > self.free_thresh) & (occ < self.occupied_thresh)]
@@ -59,9 +66,7 @@ class Meaning:
                 f"free_thresh {self.free_thresh} and occupied_thresh {self.occupied_thresh}: no grey of 8 bits lies "
                 "between them for unknown; set them further apart"
             )
-        unknown = UNKNOWN_GREY if UNKNOWN_GREY in between else int(between[len(between) // 2])
-        free = FREE_GREY if self.free_thresh >= 1 / 255 else 255
-        return (255, 255 - free, unknown) if self.negate else (0, free, unknown)
+        return UNKNOWN_GREY if UNKNOWN_GREY in between else int(between[len(between) // 2])
 
 
 @dataclass(frozen=True)
@@ -97,11 +102,13 @@ def pixels(values: Floats, meaning: Meaning) -> tuple[Array, Array | None]:
     it wrote comes back changed unless they are 0 and 1. `opaque` is None where all pixels are.
     """
     known = ~np.isnan(values)
-    mode = MODES[meaning.mode]
-    grey = mode.write(np.where(known, values, 0.0), meaning)
-    unknown = mode.unknown(meaning)
-    out = np.where(known, grey, 128 if unknown is None else unknown).astype(np.uint8)
-    return out, None if unknown is not None or known.all() else known
+    grey = MODES[meaning.mode].write(np.where(known, values, 0.0), meaning).astype(np.uint8)
+    if known.all():
+        return grey, None
+    unknown = MODES[meaning.mode].unknown(meaning)
+    return np.where(known, grey, TRANSPARENT_GREY if unknown is None else unknown).astype(np.uint8), (
+        known if unknown is None else None
+    )
 
 
 def _occ(grey: Array, meaning: Meaning) -> Floats:
@@ -120,9 +127,12 @@ def _read_trinary(grey: Array, meaning: Meaning) -> Floats:
 
 def _write_trinary(values: Floats, meaning: Meaning) -> Floats:
     hundredths = percent(values)
-    occupied, free, unknown = meaning.trinary_greys
-    unsure = np.where(hundredths <= _percent_of(meaning.free_thresh), free, unknown)
-    return np.where(hundredths >= _percent_of(meaning.occupied_thresh), occupied, unsure)
+    occupied, free = hundredths >= _percent_of(meaning.occupied_thresh), hundredths <= _percent_of(meaning.free_thresh)
+    out = np.where(occupied, *map(float, meaning.sure_greys))
+    unsure = ~(occupied | free)
+    if unsure.any():
+        out[unsure] = meaning.unknown_grey
+    return out
 
 
 def _percent_of(threshold: float) -> int:
@@ -148,7 +158,7 @@ def _write_raw(values: Floats, _: Meaning) -> Floats:
 
 
 MODES: dict[str, Mode] = {
-    "trinary": Mode(_read_trinary, _write_trinary, lambda meaning: meaning.trinary_greys[2]),
+    "trinary": Mode(_read_trinary, _write_trinary, lambda meaning: meaning.unknown_grey),
     "scale": Mode(_read_scale, _write_scale, lambda _: None),
     "raw": Mode(_read_raw, _write_raw, lambda _: 255),
 }

@@ -154,7 +154,7 @@ class Body:
 BODIES: Mapping[str, Body] = MappingProxyType(
     {
         # Robotnik Summit XL: 0.72 m × 0.61 m, four wheels, steers by skidding, 3 m/s.
-        "summit_xl": Body(0.47, 3.0, 1.5, 1.5, 3.0, Wheels(0.45, 0.47), axle_m=0.47),
+        "summit_xl": Body(0.47, 3.0, 1.5, 1.5, 6.0, Wheels(0.45, 0.47), axle_m=0.47),
         # Nomad: round, 21 inches wide, 24 inches a second.
         "nomad": Body(0.267, 0.61, 0.5, 1.05, 2.0, Wheels(0.4, 0.4), axle_m=0.4),
         "soccer": Body(0.2, 2.0, 2.0, 4.0, 12.0, Wheels(0.3, 0.3), axle_m=0.3),
@@ -184,7 +184,8 @@ def step(state: State, command: Command, dt_s: float, ground: Ground, body: Body
     speed, yaw_rate = _within_limits(state, command, dt_s, body)
     forward_m = (state.speed_mps + speed) / 2 * dt_s * np.cos(state.pitch_rad)
     turn_rad = (state.yaw_rate_radps + yaw_rate) / 2 * dt_s
-    shares = np.linspace(0, 1, 1 + max(1, ceil(np.abs(forward_m).max(initial=0.0) / PROBE_M)))
+    # As many places for all, whatever their speed: a robot's way does not depend on who moves beside it.
+    shares = np.linspace(0, 1, 1 + ceil(body.max_speed_mps * dt_s / PROBE_M))
     places = _arc(state, forward_m[:, None] * shares, turn_rad[:, None] * shares)
     last = _last_free(ground, body, state, places)
     robots, stopped = np.arange(len(state)), last < len(shares) - 1

@@ -1,7 +1,7 @@
 """Following a route: pure pursuit (Coulter 1992), for many robots at once.
 
-Each robot steers for a point on its route a little ahead, along the arc that leads there, and is slower where the route
-bends, towards its end, and where it looks elsewhere.
+Each robot steers for a point on its route a little ahead, along the arc that leads there. It slows down in time for
+bends and for the end, and where it looks elsewhere.
 """
 
 from __future__ import annotations
@@ -21,21 +21,27 @@ STEP_M = 0.1
 """Between neighbouring points of a route."""
 SEARCH_M = 2.0
 """The nearest point is looked for this far ahead of the last one: routes may cross themselves."""
-AHEAD_S = 0.5
+AHEAD_S = 1.0
 """It steers for where it would be then, but for no point nearer or further than these:"""
-MIN_AHEAD_M, MAX_AHEAD_M = 0.4, 2.0
+MIN_AHEAD_M, MAX_AHEAD_M = 0.5, 2.0
 TURN_ON_THE_SPOT_RAD = pi / 3
 """It stands still to turn towards a point further aside."""
 TURN_HZ = 2.0
 """Turning on the spot, it aims for this many times the missing angle a second."""
 ARRIVED_M = 0.15
+BEND_M = 0.5
+"""A corner counts as a bend over this much of the route before and after it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Routes:
-    """A route for each of N robots: points (M, 2) STEP_M apart, of robot n those from starts[n] to starts[n + 1]."""
+    """A route for each of N robots: points (M, 2) STEP_M apart, of robot n those from starts[n] to starts[n + 1].
+
+    `fastest_mps` (M,): at which bends can be taken, and from which what comes can be braked for.
+    """
 
     points_m: Floats
+    fastest_mps: Floats
     starts: Array
 
     @property
@@ -43,10 +49,12 @@ class Routes:
         return np.diff(self.starts)
 
 
-def routes_of(ways_m: Sequence[ArrayLike]) -> Routes:
+def routes_of(ways_m: Sequence[ArrayLike], body: Body) -> Routes:
     """Routes along waypoints (K, 2), one list a robot. Raises InputError for one without a finite point."""
     ways = [_dense(np.asarray(way, np.float64).reshape(-1, 2), n) for n, way in enumerate(ways_m)]
-    return Routes(np.concatenate(ways), np.concatenate([[0], np.cumsum([len(way) for way in ways])]))
+    fastest = [_fastest_mps(way, body) for way in ways]
+    starts = np.concatenate([[0], np.cumsum([len(way) for way in ways])])
+    return Routes(np.concatenate(ways), np.concatenate(fastest), starts)
 
 
 def _dense(way: Floats, robot: int) -> Floats:
@@ -56,6 +64,19 @@ def _dense(way: Floats, robot: int) -> Floats:
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))])
     at = np.linspace(0, along[-1], 1 + ceil(along[-1] / STEP_M))
     return np.column_stack([np.interp(at, along, axis) for axis in way.T])
+
+
+def _fastest_mps(points: Floats, body: Body) -> Floats:
+    """With half of the brakes: v² ≤ v'² + a·d for what comes, d metres ahead, at v'."""
+    if len(points) < 2:
+        return np.full(len(points), body.max_speed_mps)
+    over = round(BEND_M / STEP_M)
+    ways = np.diff(points, axis=0)[np.clip(np.arange(-over, len(points) + over), 0, len(points) - 2)]
+    before, after = ways[: len(points)], ways[2 * over :]
+    turn = np.abs(np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], (before * after).sum(axis=1)))
+    bend2 = (body.max_yaw_rate_radps * 2 * BEND_M / np.maximum(turn, 1e-9)) ** 2
+    gained = body.max_mps2 * STEP_M * np.arange(len(points))
+    return np.asarray(np.sqrt(np.minimum.accumulate((bend2 + gained)[::-1])[::-1] - gained))
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,13 +105,15 @@ def pursue(
     end = routes.points_m[routes.starts[1:] - 1]
     left_m = np.maximum((routes.lengths - 1 - at) * STEP_M, np.hypot(*(end - here).T))
     ahead_m = np.clip(np.abs(state.speed_mps) * AHEAD_S, MIN_AHEAD_M, MAX_AHEAD_M)
-    aim = _points(routes, at + np.ceil(ahead_m / STEP_M).astype(np.int64)) - here
+    aim = _of_points(routes.points_m, routes, at + np.ceil(ahead_m / STEP_M).astype(np.int64)) - here
     aside_rad = (np.arctan2(aim[:, 1], aim[:, 0]) - state.yaw_rad + pi) % (2 * pi) - pi
     distance_m = np.maximum(np.hypot(*aim.T), 1e-6)
     # The arc through here, along the heading, to the aim: its curvature is 2 sin(α)/L.
     curvature = 2 * np.sin(aside_rad) / distance_m
     arrived = left_m <= ARRIVED_M
-    speed = _speed(body, speed_mps, left_m, curvature, aside_rad)
+    speed = np.minimum(
+        _speed(body, speed_mps, left_m, curvature, aside_rad), _of_points(routes.fastest_mps, routes, at)
+    )
     turning = np.abs(aside_rad) > TURN_ON_THE_SPOT_RAD
     speed = np.where(turning | arrived, 0.0, speed)
     yaw_rate = np.where(arrived, 0.0, np.where(turning, TURN_HZ * aside_rad, curvature * speed))
@@ -98,7 +121,7 @@ def pursue(
 
 
 def _speed(body: Body, wanted_mps: Floats | float, left_m: Floats, curvature: Floats, aside_rad: Floats) -> Floats:
-    """As fast as it may be here: with half of the brakes it still stops at the end, and it can turn as the arc does."""
+    """As fast as it may be here: it stops at the end with half of the brakes, and it can turn as the arc does."""
     bend = body.max_yaw_rate_radps / np.maximum(np.abs(curvature), 1e-9)
     brake = np.sqrt(body.max_mps2 * left_m)
     most: Floats = np.minimum.reduce([np.broadcast_to(wanted_mps, left_m.shape), bend, brake])
@@ -114,6 +137,6 @@ def _nearest(state: State, routes: Routes, at: Array) -> Array:
     return np.asarray(window[np.arange(len(at)), nearest])
 
 
-def _points(routes: Routes, at: Array) -> Floats:
-    found: Floats = routes.points_m[routes.starts[:-1] + np.minimum(at, routes.lengths - 1)]
-    return found
+def _of_points(values: Floats, routes: Routes, at: Array) -> Floats:
+    """Of each route the value at its point `at`, or at its last one."""
+    return np.asarray(values[routes.starts[:-1] + np.minimum(at, routes.lengths - 1)])

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from terrafuse.errors import InputError
+from terrafuse.errors import InputError, MissingExtra
 from terrafuse.kernels.casting import NONE, bodies_reference, finished
 from terrafuse.simulate.blocks import Block
 from terrafuse.simulate.mesh import mesh_of
@@ -108,7 +111,7 @@ def test_a_sensor_does_not_see_the_body_that_it_is_in() -> None:
     assert hits.ranges_m[0] == pytest.approx(2.0)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.integers(0, 10**6))
 def test_bodies_are_met_as_in_the_reference(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -142,3 +145,16 @@ def test_no_rays_meet_nothing() -> None:
     hits = RayCaster(room()).cast(np.zeros((0, 3)), np.zeros((0, 3)), 1.0)
     assert hits.ranges_m.shape == (0,)
     assert hits.normals.shape == (0, 3)
+
+
+def test_without_embree_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "embreex.rtcore_scene", None)
+    with pytest.raises(MissingExtra, match=r"needs the package 'embreex': pip install 'terrafuse\[sim\]'"):
+        RayCaster(room())
+
+
+def test_worlds_and_their_truth_need_nothing_heavy() -> None:
+    """Not even Embree, which is loaded with the first caster."""
+    program = "import sys, terrafuse.simulate; print({'embreex', 'rasterio', 'PIL', 'mujoco'} & set(sys.modules))"
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == "set()"

@@ -91,15 +91,15 @@ def _near(bodies, origins, reach):
 def finish(origins, directions, triangles, planes, bodies, reach, ranges, normals):
     near, radii2 = _near(bodies, origins, reach)
     for k in range(len(directions)):
-        ox, oy, oz = origins[k]
-        dx, dy, dz = directions[k]
+        ox, oy, oz = origins[k, 0], origins[k, 1], origins[k, 2]
+        dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
         t, nx, ny, nz = np.inf, 0.0, 0.0, 0.0
-        if triangles[k] != NONE:
-            plane = planes[triangles[k]]
-            nx, ny, nz = plane[0], plane[1], plane[2]
+        number = triangles[k]
+        if number != NONE:
+            nx, ny, nz, offset = planes[number, 0], planes[number, 1], planes[number, 2], planes[number, 3]
             toward = nx * dx + ny * dy + nz * dz
             if toward != 0.0:
-                t = max((plane[3] - nx * ox - ny * oy - nz * oz) / toward, 0.0)
+                t = max((offset - nx * ox - ny * oy - nz * oz) / toward, 0.0)
             if toward > 0.0:
                 nx, ny, nz = -nx, -ny, -nz
         for m in range(len(near)):
@@ -141,7 +141,9 @@ def bodies_reference(origins: Floats, directions: Floats, bodies: Array) -> Floa
             if b["round"]:
                 a, h = (d[:, :2] ** 2).sum(axis=1), (o[:, :2] * d[:, :2]).sum(axis=1)
                 root = np.sqrt(h * h - a * ((o[:, :2] ** 2).sum(axis=1) - half[0] ** 2))
-                spans[:, :, 0], spans[:, :, 1] = [(-h - root) / a, (-h + root) / a], [[-np.inf], [np.inf]]
+                upright = np.where((o[:, :2] ** 2).sum(axis=1) <= half[0] ** 2, -np.inf, np.inf)
+                spans[:, :, 0] = np.where(a > 0, [(-h - root) / a, (-h + root) / a], [upright, -upright])
+                spans[:, :, 1] = [[-np.inf], [np.inf]]
         enter, leave = spans[0].max(axis=1), spans[1].min(axis=1)
         out = np.where((enter > 0) & (enter <= leave), np.minimum(out, enter), out)
     return out

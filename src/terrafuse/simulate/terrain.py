@@ -73,7 +73,8 @@ class Terrain:
 
 
 def _square(place: Floats, corners: int) -> Array:
-    return np.asarray(np.clip(np.nan_to_num(np.floor(place)), 0, corners - 2).astype(np.int64))
+    # fmax and fmin, unlike clip, make a number of NaN.
+    return np.asarray(np.fmin(np.fmax(place, 0), corners - 2).astype(np.int64))
 
 
 def flat(bounds: Bounds, z_m: float = 0.0) -> Terrain:

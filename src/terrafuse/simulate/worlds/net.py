@@ -145,9 +145,9 @@ def outline_points(outline: Block) -> Floats:
 
 
 def _hits(outline: Block, others: list[Sited]) -> bool:
+    here, reach = (outline.x_m, outline.y_m), _radius(outline) + 2 * APART_M
     return any(
-        _radius(outline) + _radius(other.outline) + 2 * APART_M
-        > math.dist((outline.x_m, outline.y_m), (other.outline.x_m, other.outline.y_m))
+        math.dist(here, (other.outline.x_m, other.outline.y_m)) < reach + _radius(other.outline)
         and overlap(outline, other.outline, APART_M)
         for other in others
     )

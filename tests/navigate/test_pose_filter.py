@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from math import cos, pi, sin, sqrt
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,6 +34,7 @@ from terrafuse.simulate.gnss import Gnss
 from terrafuse.simulate.odometry import Odometer, drawn_flaws
 from terrafuse.types import Floats, checked_pose
 
+DOCS = Path(__file__).parents[2] / "docs"
 SECOND_NS = 1_000_000_000
 NOISE = OdometryNoise()
 GNSS = GnssModel()
@@ -424,6 +427,12 @@ def _aligned(seed: int, quality: int) -> float:
         if found is not None:
             return nees(found, position, yaw)
     raise AssertionError("no heading was found")
+
+
+def test_the_python_of_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    (code,) = re.findall(r"```python\n(.*?)```", (DOCS / "navigation.md").read_text(), re.DOTALL)
+    exec(compile(code, "navigation.md", "exec"), {})
+    assert capsys.readouterr().out.startswith("used\n[1.01")
 
 
 def test_a_model_of_ones_own() -> None:

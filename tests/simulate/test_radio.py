@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from math import inf
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -164,6 +166,14 @@ def test_receivers_fare_independently() -> None:
 
 def test_frames_are_those_of_the_grey_paper() -> None:
     assert Radio().link("r", HERE).max_frame_bytes == 2300
+
+
+def test_the_python_of_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "simulator.md").read_text()
+    (code,) = (block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "Radio" in block)
+    exec(compile(code, "simulator.md", "exec"), {})
+    # One of ten is lost, as 1/16 may be; five of them have left after 0.6 s.
+    assert capsys.readouterr().out.splitlines()[0] == "4 5"
 
 
 def test_what_no_radio_can_be_is_refused() -> None:

@@ -10,9 +10,10 @@ from __future__ import annotations
 from terrafuse.navigate.costs import CostMap, cost_map
 from terrafuse.navigate.path import Path, first_blocked, still_good
 from terrafuse.navigate.plan import Plan, nearest_free, path_between, plan, plan_path
+from terrafuse.navigate.pose_filter import PoseFilter
 from terrafuse.navigate.robot import Robot, load_robot
 
 __all__ = [
-    "CostMap", "Path", "Plan", "Robot", "cost_map", "first_blocked", "load_robot", "nearest_free", "path_between",
-    "plan", "plan_path", "still_good",
+    "CostMap", "Path", "Plan", "PoseFilter", "Robot", "cost_map", "first_blocked", "load_robot", "nearest_free",
+    "path_between", "plan", "plan_path", "still_good",
 ]  # fmt: skip

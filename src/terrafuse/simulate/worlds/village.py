@@ -48,8 +48,9 @@ HILLS = (Octave(420.0, 4.0), Octave(170.0, 0.8))
 """What streets follow."""
 BUMPS = (Octave(60.0, 0.5), Octave(22.0, 0.12))
 """What gardens and fields have besides."""
-STEP_M = 2.0
-LEVEL_M, BLEND_M = 6.0, 10.0
+STEP_M = 2.5
+LEVEL_M, BLEND_M = 7.0, 9.0
+"""A street is level to its edges if all corners of the squares that it touches are."""
 CARS_PER_KM2, PEOPLE_PER_KM2 = 14, 24
 
 

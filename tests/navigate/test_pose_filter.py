@@ -279,6 +279,22 @@ def test_two_fixes_and_the_way_between_give_the_heading() -> None:
     assert 0.04 < sqrt(found.covariance[YAW, YAW]) < 0.0475
 
 
+def test_what_says_nothing_does_not_disturb_an_alignment() -> None:
+    quiet, disturbed = (Alignment(NOISE, GNSS) for _ in range(2))
+    for k in range(4):
+        now_ns = k * SECOND_NS
+        for alignment in (quiet, disturbed):
+            alignment.move(Odometry(now_ns, 1.0, 0.0))
+        for fix in (fix_at(9, 9, quality=NO_FIX, stamp_ns=now_ns), fix_at(np.nan, 9, stamp_ns=now_ns)):
+            assert disturbed.take(fix) is None
+        found = [alignment.take(fix_at(k, 0, stamp_ns=now_ns)) for alignment in (quiet, disturbed)]
+        assert disturbed.take(fix_at(9, 9, stamp_ns=now_ns - 1)) is None
+        if found[0] is not None and found[1] is not None:
+            assert found[0].mean.tolist() == found[1].mean.tolist()
+            return
+    raise AssertionError("no heading was found")
+
+
 def test_standing_still_no_heading_is_found() -> None:
     alignment = Alignment(NOISE, GNSS)
     for k in range(100):

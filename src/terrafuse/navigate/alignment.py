@@ -12,7 +12,7 @@ from math import atan2, hypot, inf, pi
 import numpy as np
 
 from terrafuse.navigate.ekf import PLACE, WANDER, Estimate, arc, corrected, first_estimate, innovation, moved, waited
-from terrafuse.navigate.readings import Fix, GnssModel, Odometry, OdometryNoise
+from terrafuse.navigate.readings import Fix, GnssModel, Odometry, OdometryNoise, check_odometry, refusal
 from terrafuse.types import Floats
 
 MAX_YAW_SIGMA_RAD = 0.1
@@ -32,15 +32,18 @@ class Alignment:
         self._turned_rad = 0.0
 
     def move(self, odometry: Odometry) -> None:
-        """The way since the first fix, in the frame of the robot at that fix."""
+        """The way since the first fix, in the frame of the robot at that fix. Raises InputError as the filter does."""
         if not self._readings:
             return
+        check_odometry(odometry, self._readings[-1].stamp_ns)
         self._way = self._way + arc(odometry.forward_m, odometry.turn_rad, self._turned_rad)[0]
         self._turned_rad += odometry.turn_rad
         self._readings.append(odometry)
 
     def take(self, fix: Fix) -> Estimate | None:
-        """The estimate at this fix, if it can be known by now."""
+        """The estimate at this fix, if it can be known by now. Fixes that say nothing are left out."""
+        if refusal(fix, self._readings[-1].stamp_ns if self._readings else fix.stamp_ns):
+            return None
         if len(self._readings) > MAX_READINGS or not self._way.any():
             self._begin(fix)
             return None

@@ -101,7 +101,7 @@ def moved(estimate: Estimate, odometry: Odometry, noise: OdometryNoise) -> Estim
     variances = _variances(odometry, noise)
     covariance = F @ estimate.covariance @ F.T
     covariance[:4, :4] += (V * variances) @ V.T
-    return Estimate(estimate.stamp_ns, mean, covariance)
+    return Estimate(estimate.stamp_ns, mean, _symmetric(covariance))
 
 
 def _variances(odometry: Odometry, noise: OdometryNoise) -> Floats:
@@ -148,4 +148,9 @@ def corrected(estimate: Estimate, found: Innovation) -> Estimate:
     mean[YAW] = wrapped(mean[YAW])
     keep = np.eye(STATES) - K @ H
     covariance = keep @ P @ keep.T + (K * found.R) @ K.T
-    return Estimate(estimate.stamp_ns, mean, covariance)
+    return Estimate(estimate.stamp_ns, mean, _symmetric(covariance))
+
+
+def _symmetric(covariance: Floats) -> Floats:
+    """Without what rounding made of it: that would grow from step to step."""
+    return (covariance + covariance.T) / 2

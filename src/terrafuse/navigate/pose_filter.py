@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrafuse.errors import InputError
 from terrafuse.navigate.alignment import Alignment
 from terrafuse.navigate.ekf import YAW, Estimate, corrected, innovation, moved, waited, wrapped
-from terrafuse.navigate.readings import NO_FIX, Fix, GnssModel, Odometry, OdometryNoise
+from terrafuse.navigate.readings import Fix, GnssModel, Odometry, OdometryNoise, check_odometry, refusal
 from terrafuse.types import Floats, Pose, Stamp, pose_of
 
 GATE = 16.27
@@ -64,26 +63,16 @@ class PoseFilter:
 
     def move(self, odometry: Odometry) -> None:
         """Take an odometry reading in. Raises InputError for one that is not finite or older than the one before."""
-        if not np.isfinite([odometry.forward_m, odometry.turn_rad, odometry.up_m]).all():
-            raise InputError(f"{odometry}: holds NaN or infinity; a robot that knows nothing of its motion must stand")
-        if odometry.stamp_ns < self.estimate.stamp_ns:
-            raise InputError(f"odometry of stamp {odometry.stamp_ns} after {self.estimate.stamp_ns}: give it in order")
+        check_odometry(odometry, self.estimate.stamp_ns)
         self.estimate = moved(waited(self.estimate, odometry.stamp_ns, self._gnss), odometry, self._noise)
         if self._alignment is not None:
             self._alignment.move(odometry)
 
     def take(self, fix: Fix) -> str:
         """Take a fix in, or not; returns what became of it, as `counts` counts. Raises InputError for bad qualities."""
-        outcome = self._refusal(fix) or self._weigh(fix)
+        outcome = refusal(fix, self.estimate.stamp_ns) or self._weigh(fix)
         self.counts[outcome] += 1
         return outcome
-
-    def _refusal(self, fix: Fix) -> str:
-        if fix.quality == NO_FIX:
-            return "no_fix"
-        if not np.isfinite(fix.position_m).all():
-            return "not_finite"
-        return "late" if fix.stamp_ns < self.estimate.stamp_ns else ""
 
     def _weigh(self, fix: Fix) -> str:
         self.estimate = waited(self.estimate, fix.stamp_ns, self._gnss)

@@ -36,6 +36,23 @@ class Fix:
     quality: int
 
 
+def check_odometry(odometry: Odometry, newest_ns: Stamp) -> None:
+    """Raise InputError for a reading that is not finite, or older than the newest one before it."""
+    if not np.isfinite([odometry.forward_m, odometry.turn_rad, odometry.up_m]).all():
+        raise InputError(f"{odometry}: holds NaN or infinity; a robot that knows nothing of its motion must stand")
+    if odometry.stamp_ns < newest_ns:
+        raise InputError(f"odometry of stamp {odometry.stamp_ns} after {newest_ns}: give readings in order")
+
+
+def refusal(fix: Fix, newest_ns: Stamp) -> str:
+    """Why a fix says nothing: no_fix, not_finite, or late, being older than the newest reading; else ''."""
+    if fix.quality == NO_FIX:
+        return "no_fix"
+    if not np.isfinite(fix.position_m).all():
+        return "not_finite"
+    return "late" if fix.stamp_ns < newest_ns else ""
+
+
 @dataclass(frozen=True)
 class OdometryNoise:
     """Standard deviations of what odometry gets wrong.

@@ -39,9 +39,11 @@ class TestStaticElevation(TestElevation):
 
 class TestTerrain(LawsOf):
     """Stamps say which cell is newer, whatever the order of the two; which of three surfaces meet first decides.
-    Coarsening composes only to rounding, and not where gradients are unknown."""
+    Coarsening composes only to rounding, and not where gradients are unknown. A look that contradicts a cell leaves its
+    stamp."""
 
     name = "terrain"
+    changes_restamp = False
     gaps = frozenset({"gradient_x", "gradient_y", "occupation", "gps_quality", "communications"})
 
 

@@ -380,6 +380,34 @@ def test_a_late_scan_counts_as_the_older_one() -> None:
     assert (agreeing["height"], agreeing["stamp"]) == (pytest.approx(1.5), 100 * SECOND_NS)
 
 
+def test_a_look_that_contradicts_is_reported_and_leaves_the_surface_as_it_was_seen() -> None:
+    """Only the flag and the revision change: nobody saw the street at 100 s."""
+    street = cell(0.0, 0.9, stamp_s=2, more=int(kernel.HELD))
+    expected = street.copy()
+    expected["flags"] |= kernel.CONTRADICTED
+    expected["revision"] = 2
+    np.testing.assert_array_equal(merged(street, cell(1.5, 0.9), 100), expected)
+
+
+def test_a_surface_is_no_newer_for_having_been_contradicted() -> None:
+    """A saw the street at 0, 1 and 2 s and a car at 100 s; B saw the car twice at 99 s: it is there.
+
+    A look hits 12 of 16 sub-cells. A's street has 1 - 0.25³ = 0.984, of which 97 s leave 0.88; B's car has
+    1 - 0.25² = 0.94. Both are sure and less than 2/16 apart, so the newer one is the world's.
+    """
+    middles = np.array([(x, y, 0.0) for x in (0.125, 0.375, 0.625, 0.875) for y in (0.125, 0.375, 0.625)])
+    seen = {"A": [(0, 0.0), (1, 0.0), (2, 0.0), (100, 1.5)], "B": [(99, 1.5), (99, 1.5)]}
+    replica = Replica(LATTICE, FAR_AWAY)
+    for robot, scans in seen.items():
+        mapper = Mapper(robot, LATTICE, FAR_AWAY)
+        for second, height in scans:
+            mapper.integrate(scan_of(middles + np.array([0, 0, height]), second * SECOND_NS))
+        replica.apply(mapper.delta())
+    layers = mosaic(replica, chosen_layers(replica, None), (0, 0, 1, 1))
+    assert layers["height"][0, 0] == pytest.approx(1.5)
+    assert layers["stamp"][0, 0] == pytest.approx(99.0)
+
+
 def test_a_scene_that_changes_under_a_standing_robot() -> None:
     """By scans: a street, on which a car parks that covers some cells and leaves again."""
     rng = np.random.default_rng(3)

@@ -220,9 +220,7 @@ def look(own, new, stamp, rules, memo):
         if (wins or confidence_new >= rules.confidence_high) and not replaced:
             replaced = own.flags & CONTRADICTED != 0
             if not replaced:
-                own.flags |= CONTRADICTED
-                own.confidence = np.float32(confidence_own)
-                own.stamp = stamp
+                own.flags |= CONTRADICTED  # and no more: nobody saw this surface at `stamp`
                 return True
     if replaced:
         take(own, new, stamp)
@@ -407,7 +405,5 @@ def merge_reference(own: Array, new: Array, stamp: Stamp, revision: int, rules: 
     out["flags"][replaced & ~unknown] |= HELD
     marked &= ~unknown
     out["flags"][marked] |= CONTRADICTED
-    out["confidence"][marked] = confidence_own[marked]
-    out["stamp"][marked], out["revision"][marked] = stamp, revision
-    out["revision"][blended & ~unknown] = revision
+    out["revision"][(marked | blended) & ~unknown] = revision
     return out

@@ -57,6 +57,25 @@ def variance_m2(records: Array) -> Floats:
     return np.asarray(np.maximum(mean_square - mean * mean, 0.0) * (TICK_M * TICK_M))
 
 
+def consistent(records: Array) -> Array:
+    """Which records n ≥ 1 heights can have: z_min ≤ mean ≤ z_max, Σ(z - mean)² ≥ 0 and Σ(z - z_min)(z_max - z) ≥ 0.
+
+    The last two in floats, rounding granted. Field names as EVIDENCE.
+    """
+    n, low, high, total = (records[name].astype(np.int64) for name in ("n", "z_min", "z_max", "z_sum"))
+    within = (n > 0) & (low <= high) & (n * low <= total) & (total <= n * high)
+    square = records["sq_hi"] * TWO_64 + records["sq_lo"]
+    return np.asarray(
+        within & _spread(n.astype(float), low.astype(float), high.astype(float), total.astype(float), square)
+    )
+
+
+def _spread(n: Floats, low: Floats, high: Floats, total: Floats, square: Floats) -> Array:
+    slack = 1e-12 * (abs(total) * (abs(low) + abs(high)) + n * abs(low * high))
+    most = total * (low + high) - n * low * high + slack
+    return np.asarray((square * n >= total * total * (1 - 1e-12)) & (square * (1 - 1e-12) <= most))
+
+
 @njit(inline="always")
 def hit(record, z):
     """One point of height z (ticks) into a record that starts at n = 0, z_min = +∞, z_max = -∞."""

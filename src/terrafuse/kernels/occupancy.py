@@ -24,6 +24,8 @@ READING = np.dtype([("ticks", "<i8"), ("updates", "<u4")])
 """What a scan says of a cell: ticks, and of how many readings."""
 
 MOST_UPDATES = 2**32 - 1
+MOST_TICKS = 745 * TICKS_PER_NAT
+"""No reading says more, either way: the smallest float is e⁻⁷⁴⁴·⁴."""
 
 
 def ticks(probability: float) -> int:

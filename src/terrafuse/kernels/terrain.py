@@ -45,6 +45,8 @@ CONTRADICTED = np.uint16(1 << 7)
 
 KNOWN = HEIGHT | GRADIENT_X | GRADIENT_Y | OCCUPATION
 LOOKS = HELD | CONTRADICTED
+FLAGS = KNOWN | PRIOR | COARSE | LOOKS
+FLAG_OF = {"height": HEIGHT, "gradient_x": GRADIENT_X, "gradient_y": GRADIENT_Y, "occupation": OCCUPATION}
 
 MOST_CONFIDENT = np.float32(254 / 255)
 """Certainty is never reached: from 1, confidence would not change any more."""

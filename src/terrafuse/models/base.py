@@ -184,6 +184,17 @@ class Model(Protocol):
     def known(self, cells: Array) -> Array:
         """Which cells somebody observed, as booleans of the same shape."""
 
+    def check(self, cells: Array) -> str | None:
+        """What is wrong with (K,) cells that a robot reports, which no mapper makes; None: nothing.
+
+        A delta with such cells is refused whole: messages come from anywhere, and one bad cell would stay for good.
+        """
+
+
+def first_flaw(flaws: Mapping[str, Array]) -> str | None:
+    """The first of these that is True of any cell."""
+    return next((flaw for flaw, cells in flaws.items() if cells.any()), None)
+
 
 def fold(model: Model, contributions: Sequence[Array], lattice: Lattice) -> Array:
     """The global cells: `model.fuse` over the robots' cells in the order (stamp, robot), for each cell its own order.

@@ -15,7 +15,7 @@ from terrafuse.errors import InputError
 from terrafuse.kernels import absorb, evidence, rasterise
 from terrafuse.kernels.planes import fit_planes
 from terrafuse.lattice import Lattice
-from terrafuse.models.base import Layer, Reading, UnsortedPatch, checked_ends
+from terrafuse.models.base import Layer, Reading, UnsortedPatch, checked_ends, first_flaw
 from terrafuse.tile import aligned_zeros
 from terrafuse.types import Array, Floats, Scan, TileKey
 
@@ -86,6 +86,15 @@ class Elevation:
 
     def known(self, cells: Array) -> Array:
         return np.asarray(cells["n"] > 0)
+
+    def check(self, cells: Array) -> str | None:
+        ground = np.ascontiguousarray(cells).view(absorb.GROUND_OF_CELL)
+        none = ground == np.zeros((), ground.dtype)
+        return first_flaw({
+            "sums that no points have": ~evidence.consistent(cells),
+            "a cached ground with sums that no points have": ~none & ~evidence.consistent(ground),
+            "more changes than merges allow": cells["changes"] >= cells["merges"],
+        })  # fmt: skip
 
     @property
     def layers(self) -> Mapping[str, Layer]:

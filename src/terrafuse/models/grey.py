@@ -14,7 +14,7 @@ import numpy as np
 from terrafuse.errors import InputError
 from terrafuse.kernels import grey
 from terrafuse.lattice import Lattice
-from terrafuse.models.base import Layer, Patch, Reading, patch_of
+from terrafuse.models.base import Layer, Patch, Reading, first_flaw, patch_of
 from terrafuse.tile import RecordTile
 from terrafuse.types import Array, Beam, Floats, Scan
 
@@ -95,6 +95,9 @@ class Grey:
 
     def known(self, cells: Array) -> Array:
         return np.asarray(cells["revision"] > 0)
+
+    def check(self, cells: Array) -> str | None:
+        return first_flaw({"an empty interval, a > b": cells["a"].astype(np.int64) + cells["c"] > grey.FULL})
 
     @property
     def layers(self) -> Mapping[str, Layer]:

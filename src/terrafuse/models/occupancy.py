@@ -16,7 +16,7 @@ import numpy as np
 from terrafuse.errors import InputError
 from terrafuse.kernels import occupancy, occupancy_beams, occupancy_sonar, rays
 from terrafuse.lattice import Lattice
-from terrafuse.models.base import Layer, Patch, checked_ends, patch_of
+from terrafuse.models.base import Layer, Patch, checked_ends, first_flaw, patch_of
 from terrafuse.tile import RecordTile
 from terrafuse.types import Array, Beam, Floats, Scan, TileKey
 
@@ -99,6 +99,13 @@ class Occupancy:
 
     def known(self, cells: Array) -> Array:
         return np.asarray(cells["updates"] > 0)
+
+    def check(self, cells: Array) -> str | None:
+        most = cells["updates"].astype(np.int64) * occupancy.MOST_TICKS
+        return first_flaw({
+            "no update": ~self.known(cells),
+            "more log-odds than the updates can give": (cells["sum"] > most) | (cells["sum"] < -most),
+        })  # fmt: skip
 
     @property
     def layers(self) -> Mapping[str, Layer]:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from terrafuse.errors import InputError
 from terrafuse.kernels import rasterise, terrain, terrain_coarsen, terrain_planes, terrain_points
 from terrafuse.lattice import Lattice
-from terrafuse.models.base import Layer, Reading, UnsortedPatch, checked_ends, patch_of
+from terrafuse.models.base import Layer, Reading, UnsortedPatch, checked_ends, first_flaw, patch_of
 from terrafuse.tile import RecordTile
 from terrafuse.types import Array, Floats, Scan, Stamp, TileKey
 
@@ -118,6 +118,19 @@ class Terrain:
     def known(self, cells: Array) -> Array:
         """Cells of which anything is known, be it only what was given with the scenario."""
         return np.asarray(cells["flags"] != 0)
+
+    def check(self, cells: Array) -> str | None:
+        values, flags = {name: cells[name] for name in terrain.FLAG_OF}, cells["flags"]
+        unflagged = [(value != 0) & (flags & terrain.FLAG_OF[name] == 0) for name, value in values.items()]
+        return first_flaw({
+            "values that are not finite": np.any([~np.isfinite(value) for value in values.values()], axis=0),
+            "values that their flags call unknown": np.any(unflagged, axis=0),
+            "an occupation outside 0 to 1": (cells["occupation"] < 0) | (cells["occupation"] > 1),
+            "a confidence outside 0 to 254/255": ~((cells["confidence"] >= 0)
+                                                   & (cells["confidence"] <= terrain.MOST_CONFIDENT)),
+            "no flag, or one that there is not": (flags == 0) | (flags & ~terrain.FLAGS != 0),
+            "a gps_quality over 2 or communications over 1": (cells["gps_quality"] > 3) | (cells["communications"] > 2),
+        })  # fmt: skip
 
     def prior(
         self,

@@ -81,13 +81,16 @@ class Store(Protocol):
 
 
 def check_delta(delta: Delta, map_: MapId, model: Model) -> None:
-    """Raise DeltaError unless the delta belongs to this map."""
+    """Raise DeltaError unless the delta belongs to this map and a mapper can have made it."""
     if delta.map != map_:
         raise DeltaError(f"a delta of {delta.map} does not belong to the map {map_}")
     check_content(delta)
     for tile in delta.tiles:
         if model.cell != tile.cells.dtype:
             raise DeltaError(f"cells of another kind than the model '{model.name}' has")
+        flaw = model.check(tile.cells)
+        if flaw:
+            raise DeltaError(f"tile {tuple(tile.key)} has cells with {flaw}: no mapper makes such")
 
 
 def newest(dense: Array, at: Array, cells: Array) -> None:

@@ -115,6 +115,7 @@ class ModelTests:
                 stamped = np.equal if self.changes_restamp else np.less_equal
                 assert stamped(tile.cells["stamp"], scan.stamp_ns).all()
                 assert model.known(tile.cells).all(), "a cell that was reported must be known"
+                assert model.check(tile.cells) is None, "what a mapper reports must pass the model's own check"
 
     @for_many_seeds
     def test_the_same_scans_make_the_same_bytes(self, model: Model, seed: int) -> None:

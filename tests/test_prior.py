@@ -196,6 +196,50 @@ def test_bad_options(tmp_path: Path) -> None:
             open_prior([f"{file}?{option}"])
 
 
+def test_each_kind_of_file_takes_its_own_options(tmp_path: Path) -> None:
+    polygons = geojson(tmp_path / "a.geojson", square(0, 0, 1, height_m=1))
+    with pytest.raises(InputError, match="no option 'band'; there are: confidence, crs"):
+        open_prior([f"{polygons}?band=3"])
+    stated = dem(tmp_path / "dem.tif", np.ones((5, 5)), 0.0, 10.0, "EPSG:32632")
+    with pytest.raises(InputError, match="states its CRS, EPSG:32632"):
+        open_prior([f"{stated}?crs=EPSG:32633"])
+
+
+def test_a_raster_that_states_no_crs_takes_the_one_that_is_said(tmp_path: Path) -> None:
+    """UTM 32 and 33 tell the same place by coordinates hundreds of kilometres apart."""
+    import pyproj
+
+    lattice = Lattice(1.0, 10.0, "EPSG:32633")
+    file = dem(tmp_path / "dem.tif", np.full((5, 5), 7.0), 500_000.0, 5_400_010.0)
+    replica = Replica(lattice, TERRAIN)
+    for delta in open_prior([f"{file}?crs=EPSG:32632"]).deltas(lattice, TERRAIN):
+        replica.apply(delta)
+    east, north = pyproj.Transformer.from_crs(32632, 32633, always_xy=True).transform(500_005.0, 5_400_005.0)
+    height = replica.layer("height")
+    assert abs(float(height.x.mean()) - east) < 1.0
+    assert abs(float(height.y.mean()) - north) < 1.0
+
+
+def test_degrees_on_a_map_of_metres_must_be_said(tmp_path: Path) -> None:
+    lattice = Lattice(1.0, 10.0, "EPSG:32632")
+    for file in (
+        geojson(tmp_path / "a.geojson", square(10.0, 45.0, 0.001, height_m=1)),
+        dem(tmp_path / "dem.tif", np.ones((5, 5)), 10.0, 45.0),
+    ):
+        with pytest.raises(InputError, match=r"lies nowhere near.*crs=EPSG:4326") as error:
+            list(open_prior([str(file)]).deltas(lattice, TERRAIN))
+        assert str(file) in str(error.value)
+    assert list(open_prior([f"{tmp_path / 'a.geojson'}?crs=EPSG:4326"]).deltas(lattice, TERRAIN))
+
+
+def test_a_file_that_gives_no_cell_is_named(tmp_path: Path) -> None:
+    """No cell's centre lies within (0.6, 0.6) to (0.9, 0.9)."""
+    some = geojson(tmp_path / "some.geojson", square(0, 0, 5, height_m=1))
+    none = geojson(tmp_path / "none.geojson", square(0.6, 0.6, 0.3, height_m=1))
+    with pytest.raises(InputError, match=r"none\.geojson: gives no cell"):
+        list(open_prior([str(some), str(none)]).deltas(LATTICE, TERRAIN))
+
+
 def test_values_that_the_model_can_t_hold(tmp_path: Path) -> None:
     file = geojson(tmp_path / "a.geojson", square(0, 0, 1, gps_quality=7))
     with pytest.raises(InputError, match="gps_quality"):

@@ -184,8 +184,10 @@ def test_coarsening_in_two_steps_is_coarsening_at_once(seed: int) -> None:
 def test_settings_are_checked() -> None:
     with pytest.raises(InputError, match="no cell model 'elevatoin'; there are: elevation"):
         make_model("elevatoin")
-    with pytest.raises(InputError, match="no such setting"):
+    with pytest.raises(InputError, match="no setting 'flat_tolerance'; there are: static, variance_threshold_m2"):
         make_model("elevation", {"flat_tolerance": 1})
+    with pytest.raises(InputError, match="'flat_tolerance_m': 'wide'.* wrong type"):
+        make_model("elevation", {"flat_tolerance_m": "wide"})
     with pytest.raises(InputError, match="odd number"):
         make_model("elevation", {"traversability_cells": 4})
     with pytest.raises(InputError, match="positive"):

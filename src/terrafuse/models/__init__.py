@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from inspect import Parameter, signature
 from typing import Any
 
 from terrafuse.errors import InputError
@@ -26,10 +27,15 @@ def make_model(name: str, settings: Mapping[str, Any] | None = None) -> Model:
     """The model of this name with these settings; raises InputError for a name or a setting that there is none of."""
     if name not in MODELS:
         raise InputError(f"no cell model '{name}'; there are: {', '.join(sorted(MODELS))}; {HINT}")
+    given, make = dict(settings or {}), MODELS[name]
+    known = signature(make).parameters
+    if not any(parameter.kind is Parameter.VAR_KEYWORD for parameter in known.values()):
+        for key in given.keys() - known.keys():
+            raise InputError(f"cell model '{name}' has no setting '{key}'; there are: {', '.join(known)}")
     try:
-        return MODELS[name](**dict(settings or {}))
+        return make(**given)
     except TypeError as error:
-        raise InputError(f"cell model '{name}' has no such setting: {error}") from error
+        raise InputError(f"cell model '{name}': a setting of {given} has the wrong type: {error}") from error
 
 
 __all__ = [

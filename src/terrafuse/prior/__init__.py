@@ -22,7 +22,7 @@ from terrafuse.prior.polygons import open_polygons
 from terrafuse.prior.raster import open_raster
 from terrafuse.prior.source import PROPERTIES, PriorSource
 from terrafuse.query import split_query
-from terrafuse.types import Array, Floats, Stamp, TileKey
+from terrafuse.types import Array, Bounds, Floats, Stamp, TileKey
 
 ROBOT = "prior"
 CONFIDENCE = 0.1
@@ -31,9 +31,13 @@ CONFIDENCE = 0.1
 RASTERS, POLYGONS = (".tif", ".tiff", ".hgt", ".asc", ".img", ".vrt"), (".geojson", ".json")
 OPTIONS = {
     "confidence": f"of heights that come without one, 0 to 1 (default {CONFIDENCE})",
-    "crs": "of polygons whose file states none (default: the map's)",
+    "crs": "of a file that states none (default: the map's)",
     "band": "of a raster: the band that holds heights, by number or name",
 }
+DEGREES = Bounds(-180.0, -90.0, 180.0, 90.0)
+
+
+Opener = Callable[[Path, float, Mapping[str, str]], PriorSource]
 
 
 class TakesPrior(Protocol):
@@ -54,21 +58,29 @@ class Prior:
     def deltas(self, lattice: Lattice, model: Model) -> Iterator[Delta]:
         """The contribution to a map, a delta for each line of tiles. Raises InputError for a model that takes none."""
         records = _taker(model).prior
+        for source, path in zip(self.sources, self.paths, strict=True):
+            _check_place(source, path, lattice)
         lines: dict[int, list[TileKey]] = {}
         for key in sorted({key for source in self.sources for key in _tiles(source, lattice)}):
             lines.setdefault(key.y, []).append(key)
+        said: set[PriorSource] = set()
         for keys in lines.values():
-            tiles = [_tile_cells(key, self._values(key, lattice), records) for key in keys]
+            tiles = [_tile_cells(key, self._values(key, lattice, said), records) for key in keys]
             known = tuple(tile for tile in tiles if len(tile.at))
             if known:
                 yield Delta(map_id(model.name, lattice), ROBOT, 0, 1, 0, known)
+        for source, path in zip(self.sources, self.paths, strict=True):
+            if source not in said:
+                raise InputError(f"prior map {path}: gives no cell of this map: it holds nothing, or less than a cell")
 
-    def _values(self, key: TileKey, lattice: Lattice) -> dict[str, Floats]:
-        """Each property over a tile, (T²,), NaN where no file says anything."""
+    def _values(self, key: TileKey, lattice: Lattice, said: set[PriorSource]) -> dict[str, Floats]:
+        """Each property over a tile, (T²,), NaN where no file says anything; those that do are added to `said`."""
         out = {name: np.full(lattice.tile_cells**2, np.nan) for name in PROPERTIES}
         for source in self.sources:
             for name, values in source.values(key, lattice).items():
                 given = ~np.isnan(values)
+                if given.any():
+                    said.add(source)
                 out[name][given] = values[given]
         return out
 
@@ -95,17 +107,19 @@ def _open(text: str) -> tuple[PriorSource, Path]:
     path = Path(name)
     if not path.is_file():
         raise InputError(f"prior map {path}: no such file")
+    opener, takes = _opener(path)
     for key in options:
-        if key not in OPTIONS:
-            raise InputError(f"prior map {path}: there is no option '{key}'; there are: {', '.join(OPTIONS)}")
-    return _opener(path)(path, _confidence(path, options), options), path
+        if key not in takes:
+            raise InputError(f"prior map {path}: such a file has no option '{key}'; there are: {', '.join(takes)}")
+    return opener(path, _confidence(path, options), options), path
 
 
-def _opener(path: Path) -> Callable[[Path, float, Mapping[str, str]], PriorSource]:
+def _opener(path: Path) -> tuple[Opener, tuple[str, ...]]:
+    """What opens such a file, and the options that it takes."""
     if path.suffix.lower() in RASTERS:
-        return open_raster
+        return open_raster, ("confidence", "crs", "band")
     if path.suffix.lower() in POLYGONS:
-        return open_polygons
+        return open_polygons, ("confidence", "crs")
     known = ", ".join(RASTERS + POLYGONS)
     raise InputError(f"prior map {path}: neither a raster nor GeoJSON polygons by its ending; known are {known}")
 
@@ -119,6 +133,18 @@ def _confidence(path: Path, options: Mapping[str, str]) -> float:
     if not 0 < value <= 1:
         raise InputError(f"prior map {path}: confidence={text}: give a number over 0 and up to 1")
     return value
+
+
+def _check_place(source: PriorSource, path: Path, lattice: Lattice) -> None:
+    """Raise InputError for coordinates that must be degrees, in a map of metres, of a file that doesn't say so."""
+    if lattice.crs is None or source.crs is not None:
+        return
+    west, south, east, north = source.bounds(None)
+    if west >= DEGREES.west and south >= DEGREES.south and east <= DEGREES.east and north <= DEGREES.north:
+        raise InputError(
+            f"prior map {path}: lies nowhere near the places of {lattice.crs}: its coordinates, {west:g} to {east:g} "
+            f"and {south:g} to {north:g}, look like degrees and it states no CRS; say so by {path.name}?crs=EPSG:4326"
+        )
 
 
 def _tiles(source: PriorSource, lattice: Lattice) -> Iterator[TileKey]:

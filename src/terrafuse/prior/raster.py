@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from terrafuse import crs as crs_
 from terrafuse.errors import InputError
 from terrafuse.grids import bounds_in, transformed, window_grid
 from terrafuse.lattice import Lattice
@@ -22,6 +23,10 @@ class RasterPrior:
 
     bands: Mapping[str, Raster]
     confidence: float
+
+    @property
+    def crs(self) -> str | None:
+        return next(iter(self.bands.values())).grid.crs
 
     def bounds(self, crs: str | None) -> Bounds:
         return bounds_in(next(iter(self.bands.values())).grid, crs)
@@ -51,4 +56,15 @@ def open_raster(path: Path, confidence: float, options: Mapping[str, str]) -> Ra
     for name, raster in rasters.items():
         if np.isinf(raster.values).any():
             raise InputError(f"prior map {path}: the band '{raster.band}' for {name} holds infinite values")
-    return RasterPrior(rasters, confidence)
+    return RasterPrior(
+        {name: _placed(raster, path, options.get("crs")) for name, raster in rasters.items()}, confidence
+    )
+
+
+def _placed(raster: Raster, path: Path, crs: str | None) -> Raster:
+    """The raster in the CRS that the user says it has, where the file says none."""
+    if crs is None:
+        return raster
+    if raster.grid.crs is not None:
+        raise InputError(f"prior map {path}: states its CRS, {raster.grid.crs}; leave ?crs={crs} out")
+    return replace(raster, grid=replace(raster.grid, crs=crs_.short_text(crs_.known(crs))))

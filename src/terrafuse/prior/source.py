@@ -12,6 +12,10 @@ PROPERTIES = ("height_m", "confidence", "gps_quality", "communications")
 
 
 class PriorSource(Protocol):
+    @property
+    def crs(self) -> str | None:
+        """That of its coordinates; None: it states none, and they are taken to be the map's."""
+
     def bounds(self, crs: str | None) -> Bounds:
         """In this CRS; None is taken to be the file's own."""
 

@@ -12,6 +12,9 @@ from numba import njit
 
 from terrafuse.types import Array
 
+MAX_BAND_CELLS = 500
+"""No reading's band reaches further before and behind it: with the length of cones it bounds the memory of a scan."""
+
 
 def cone_capacity(reach_m: float, cells_per_m: float) -> int:
     """More cells than any cone of this reach has."""

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from terrafuse.kernels.cones import cone, cone_reference
+from terrafuse.kernels.cones import MAX_BAND_CELLS, cone, cone_reference
 from terrafuse.lattice import MAX_CELL
 from terrafuse.types import Array, Floats
 
@@ -33,9 +33,8 @@ ANGLE_OF_NO_CONFIDENCE = 1.0 / math.sqrt(21.0)
 
 MAX_READING_CELLS = 1536
 MAX_SPREAD_CELLS = 500
-"""No beam of a scan starts further from where its first one does, east or north."""
-MAX_BAND_CELLS = 500
-"""Δr is no longer. Together they bound the memory that a scan can ask for: its cells lie in a square of 5200²."""
+"""No beam of a scan starts further from where its first one does, east or north. With MAX_BAND_CELLS for Δr this bounds
+the memory that a scan can ask for: its cells lie in a square of 5200²."""
 FURTHEST_CELL = MAX_CELL - MAX_READING_CELLS - MAX_BAND_CELLS - 2
 """From here every cell of a cone is on the lattice."""
 

@@ -17,6 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from terrafuse.errors import InputError
+from terrafuse.kernels.cones import MAX_BAND_CELLS
 from terrafuse.kernels.grouping import by_tile
 from terrafuse.lattice import Lattice
 from terrafuse.tile import RecordTile, Tile, opaque
@@ -103,6 +104,26 @@ def checked_ends(what: str, ends: Array) -> Array:
     return np.ascontiguousarray(ends)
 
 
+def checked_origins(scan: Scan) -> Array | None:
+    """A scan's origins as kernels take them, one for each of its points and misses; None where it states none."""
+    if scan.origins is None:
+        return None
+    count = len(scan.points) + (0 if scan.misses is None else len(scan.misses))
+    origins = checked_ends("origins", scan.origins)
+    if len(origins) != count:
+        raise InputError(f"a scan of {count} points and misses has {len(origins)} origins; give one for each")
+    return origins
+
+
+def check_band(what: str, half_m: float, lattice: Lattice, remedy: str) -> None:
+    """Raise InputError for a sonar's band of so much either way, beyond what bounds the memory of a scan."""
+    if not half_m * lattice.cells_per_m <= MAX_BAND_CELLS:
+        raise InputError(
+            f"{what} of {half_m:.6g} m is over {MAX_BAND_CELLS} cells of {lattice.resolution_m:.6g} m: "
+            f"{remedy}, or use larger cells"
+        )
+
+
 def patch_of(
     i: Array, j: Array, records: Array, lattice: Lattice, points: int, dropped: Mapping[str, int] | None = None
 ) -> Patch:
@@ -164,6 +185,10 @@ class Model(Protocol):
         """The layer that a picture of the map shows."""
 
     @property
+    def fold_by_name(self) -> bool:
+        """Whether robots' cells are fused in the order of their names alone, whatever the stamps; False is usual."""
+
+    @property
     def occupied(self) -> Layer:
         """How surely a cell is in a robot's way, 0 to 1: what becomes a ROS map. It need not be among the layers."""
 
@@ -206,7 +231,7 @@ def fold(model: Model, contributions: Sequence[Array], lattice: Lattice) -> Arra
     """
     if len(contributions) == 1:
         return contributions[0].copy()
-    ordered = contributions if getattr(model, "fold_by_name", False) else _by_stamp(contributions)
+    ordered = contributions if model.fold_by_name else _by_stamp(contributions)
     fused = ordered[0]
     for newer in ordered[1:]:
         fused = model.fuse(fused, newer, lattice)

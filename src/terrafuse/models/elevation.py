@@ -47,6 +47,7 @@ class Elevation:
     name = "elevation"
     cell = absorb.CELL
     picture_layer = "height"
+    fold_by_name = False
 
     def __post_init__(self) -> None:
         if self.traversability_cells % 2 == 0 or self.traversability_cells < 3:

@@ -14,7 +14,7 @@ import numpy as np
 from terrafuse.errors import InputError
 from terrafuse.kernels import grey
 from terrafuse.lattice import Lattice
-from terrafuse.models.base import Layer, Patch, Reading, first_flaw, patch_of
+from terrafuse.models.base import Layer, Patch, Reading, check_band, checked_ends, checked_origins, first_flaw, patch_of
 from terrafuse.tile import RecordTile
 from terrafuse.types import Array, Beam, Floats, Scan
 
@@ -69,11 +69,7 @@ class Grey:
                 "set the model's opening_angle_rad, describe the sensor, or use the model 'occupancy'"
             )
         delta_r_m = self.delta_r_m or max(beam.range_error_m, lattice.resolution_m * np.sqrt(0.5))
-        if not delta_r_m * lattice.cells_per_m <= grey.MAX_BAND_CELLS:
-            raise InputError(
-                f"Δr of {delta_r_m:.6g} m is over {grey.MAX_BAND_CELLS} cells of {lattice.resolution_m:.6g} m: "
-                "set the model's delta_r_m, or use larger cells"
-            )
+        check_band("Δr", delta_r_m, lattice, "set the model's delta_r_m")
         return grey.Sonar(opening_angle_rad, self.rho_v_m, float(delta_r_m), self.reliability * beam.reliability)
 
     def observer(self, lattice: Lattice) -> GreyObserver:
@@ -189,12 +185,11 @@ class GreyObserver:
 
 def aimed(scan: Scan, cells_per_m: float) -> tuple[Floats, dict[str, int]]:
     """The beams (B, 6) of a scan that count, in its order, points before misses; and the others by reason."""
-    ends = _rows(scan.points, "points")
+    ends = _float64(checked_ends("points", scan.points))
     if scan.misses is not None:
-        ends = np.concatenate([ends, _rows(scan.misses, "misses")])
-    origins = np.zeros_like(ends) if scan.origins is None else _rows(scan.origins, "origins")
-    if len(origins) != len(ends):
-        raise InputError(f"a scan of {len(ends)} points and misses has {len(origins)} origins; give one for each")
+        ends = np.concatenate([ends, _float64(checked_ends("misses", scan.misses))])
+    given = checked_origins(scan)
+    origins = np.zeros_like(ends) if given is None else _float64(given)
     beams, dropped = np.empty((len(ends), 6)), np.zeros(len(grey.DROP_REASONS), np.int64)
     near, far = scan.beam.min_range_m, scan.beam.max_range_m
     T_world_sensor = scan.T_world_sensor.matrix
@@ -202,8 +197,5 @@ def aimed(scan: Scan, cells_per_m: float) -> tuple[Floats, dict[str, int]]:
     return beams[:count], {name: n for name, n in zip(grey.DROP_REASONS, dropped.tolist(), strict=True) if n}
 
 
-def _rows(points: Array, what: str) -> Floats:
-    given = np.asarray(points, np.float64)
-    if given.ndim != 2 or given.shape[1] < 3:
-        raise InputError(f"a scan's {what} are (N, 3), not {given.shape}")
-    return np.ascontiguousarray(given[:, :3])
+def _float64(ends: Array) -> Floats:
+    return np.ascontiguousarray(ends[:, :3], np.float64)

@@ -16,7 +16,7 @@ import numpy as np
 from terrafuse.errors import InputError
 from terrafuse.kernels import occupancy, occupancy_beams, occupancy_sonar, rays
 from terrafuse.lattice import Lattice
-from terrafuse.models.base import Layer, Patch, checked_ends, first_flaw, patch_of
+from terrafuse.models.base import Layer, Patch, check_band, checked_ends, checked_origins, first_flaw, patch_of
 from terrafuse.tile import RecordTile
 from terrafuse.types import Array, Beam, Floats, Scan, TileKey
 
@@ -54,6 +54,7 @@ class Occupancy:
     name = "occupancy"
     cell = occupancy.CELL
     picture_layer = "occupancy"
+    fold_by_name = False
 
     def __post_init__(self) -> None:
         if not 0 < self.miss_probability < 0.5 < self.hit_probability < 1:
@@ -160,6 +161,9 @@ class OccupancyObserver:
         return (self._listened if cone else self._traced)(ends, marks, scan, reasons)
 
     def _listened(self, ends: Floats, marks: Array, scan: Scan, dropped: Mapping[str, int]) -> Patch:
+        check_band(
+            "a range error", scan.beam.range_error_m, self._lattice, "describe the sensor with a smaller range_error_m"
+        )
         nearest_m = max(scan.beam.min_range_m, self._model.min_range_m)
         i, j, readings = self._cones(ends, marks, scan.beam, nearest_m)
         return patch_of(i, j, readings, self._lattice, len(scan.points), dropped)
@@ -183,9 +187,8 @@ class OccupancyObserver:
         points = checked_ends("points", scan.points)
         misses = checked_ends("misses", np.empty((0, 3)) if scan.misses is None else scan.misses)
         count = len(points) + len(misses)
-        origins = ORIGIN if scan.origins is None else checked_ends("origins", scan.origins).astype(np.float64)
-        if scan.origins is not None and len(origins) != count:
-            raise InputError(f"a scan of {count} points and misses has {len(origins)} origins; give one for each")
+        given = checked_origins(scan)
+        origins = ORIGIN if given is None else given.astype(np.float64)
         ends, marks, dropped = np.empty((count, 4)), np.empty(count, np.bool_), np.zeros(6, np.int64)
         cone = beam.half_angle_rad > 0
         used = occupancy_beams.segments(

@@ -60,6 +60,7 @@ class Terrain:
     name = "terrain"
     cell = terrain.CELL
     picture_layer = "height"
+    fold_by_name = False
 
     def __post_init__(self) -> None:
         if math.isqrt(max(self.subcells, 0)) ** 2 != self.subcells or not 1 <= self.subcells <= 64:

@@ -228,7 +228,7 @@ class ModelTests:
         """Cell by cell it is `fuse` over those who know the cell, in that order; by name where a model says so."""
         robots = self._cells(model, seed, 3)
         folded = fold(model, robots, self.lattice)
-        by_stamp = not getattr(model, "fold_by_name", False)
+        by_stamp = not model.fold_by_name
         for k in np.random.default_rng(seed).integers(0, len(folded), 10):
             one = [cells[k : k + 1] for cells in robots if model.known(cells[k : k + 1])[0]]
             expected = np.zeros(1, model.cell)

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from numba import njit
 
 from terrafuse.kernels import terrain, terrain_coarsen, terrain_planes, terrain_points
-from terrafuse.kernels.rasterise import WINDOW
+from terrafuse.kernels.rasterise import DROP_REASONS, WINDOW
 from terrafuse.lattice import Lattice
 from terrafuse.models.terrain import Terrain, TerrainPatch
-from terrafuse.types import Array, Scan
+from terrafuse.types import Array, Pose, Scan
 from tests.kernels.test_rasterise import random_pose
 from tests.models.test_terrain import some_cells
 
@@ -87,6 +87,21 @@ def test_a_scan_wider_than_the_window_equals_the_reference() -> None:
     assert assert_equals_reference(Scan(0, points, random_pose(rng, 10)), Lattice(0.1), model) > 30_000
 
 
+@pytest.mark.parametrize("subcells", [1, 16, 64])
+@pytest.mark.parametrize("below", [-1e-18, -5e-324, np.nextafter(0.0, -1.0), np.nextafter(1.0, 0.0)])
+def test_points_just_below_a_border_hit_the_last_subcell(below: float, subcells: int) -> None:
+    """In both axes: of 4×4 sub-cells number 15, of 8×8 number 63."""
+    across, lattice, model = round(subcells**0.5), Lattice(1.0), Terrain(subcells=subcells)
+    scan = Scan(0, np.array([(below, below, 0.0)]), Pose.identity())
+    points, dropped = terrain_points.new_points(1), np.zeros(len(DROP_REASONS) + 1, np.int64)
+    T, gate, later = scan.T_world_sensor.matrix, (0.0, 100.0), np.empty(1, np.int64)
+    terrain_points.locate(scan.points, T, 1.0, -9, -9, *gate, across, *points, dropped, later)
+    assert points.parts.tolist() == [subcells - 1]
+    ends = terrain_points.locate_reference(scan.points, T, 1.0, *gate)
+    assert terrain_points.add_up_reference(*ends, across)[2]["hit"].tolist() == [1 << (subcells - 1)]
+    assert assert_equals_reference(scan, lattice, model) == 1
+
+
 def test_an_observer_is_empty_between_scans() -> None:
     lattice, model = Lattice(0.5), Terrain()
     observe = model.observer(lattice)
@@ -110,6 +125,13 @@ def test_planes_are_numpys_least_squares(slope: tuple[float, float]) -> None:
     assert records["gradient_x"][0] == pytest.approx(a, rel=1e-5)
     assert records["gradient_y"][0] == pytest.approx(b, rel=1e-5)
     assert records["height"][0] == pytest.approx(c + (a + b) / 2)
+
+
+@given(seed=st.integers(0, 10_000))
+def test_ageing_equals_the_reference(seed: int) -> None:
+    cells, rules = some_cells(seed), Terrain().rules(0.5)
+    expected = terrain.aged_reference(cells, 10**12, rules)
+    np.testing.assert_allclose(terrain.aged_at(cells, 10**12, rules), expected, rtol=1e-14)
 
 
 @given(seed=st.integers(0, 10_000), resolution_m=st.sampled_from([0.5, 5.0]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -193,6 +194,7 @@ def test_the_maximum_range_is_the_settings_then_the_sensors_then_50_m() -> None:
     scan = Scan(0, np.array([(0.5, 0.5, 0.0)]), Pose.identity())
     sonar = Scan(0, scan.points, scan.T_world_sensor, beam=Beam(max_range_m=5.0))
     assert (Terrain().range_m(scan), Terrain().range_m(sonar), Terrain(max_range_m=7).range_m(sonar)) == (50, 5, 7)
+    assert Terrain().range_m(replace(sonar, beam=Beam(max_range_m=1e200))) == 1e8
     done = Mapper("r", LATTICE, Terrain()).integrate(Scan(0, np.array([(51.0, 0, 0), (5, 0, 0)]), Pose.identity()))
     assert (done.cells, dict(done.dropped)) == (1, {"beyond max_range_m": 1})
 
@@ -530,7 +532,8 @@ def test_a_prior_is_checked(values: tuple, message: str) -> None:
 @pytest.mark.parametrize(
     "wrong",
     [{"subcells": 15}, {"subcells": 81}, {"subcells": -4}, {"max_slope": 0.0}, {"half_life_s": -1.0},
-     {"confidence_gap": 2.0}, {"max_range_m": -1.0}, {"min_range_m": 60.0, "max_range_m": 50.0}, {"least_spread": 0.0}],
+     {"confidence_gap": 2.0}, {"max_range_m": -1.0}, {"max_range_m": 0.0}, {"max_range_m": 2e8},
+     {"min_range_m": 60.0, "max_range_m": 50.0}, {"least_spread": 0.0}],
 )  # fmt: skip
 def test_settings_are_checked(wrong: dict[str, float]) -> None:
     with pytest.raises(

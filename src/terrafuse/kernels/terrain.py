@@ -104,6 +104,15 @@ def aged(cell, stamp, later, rules, memo):
     return cell.confidence * memo[1]
 
 
+@njit(cache=True, nogil=True)
+def aged_at(cells, later, rules):
+    """(M,) float64: the confidence that each of (M,) CELL has left at `later`."""
+    memo, out = new_memo(), np.empty(cells.shape[0])
+    for k in range(cells.shape[0]):
+        out[k] = aged(cells[k], cells[k].stamp, later, rules, memo)
+    return out
+
+
 @njit(inline="always")
 def occupy(cell, max_slope):
     """Set the occupation from the gradients. Unknown where one is unknown that could still make a difference."""

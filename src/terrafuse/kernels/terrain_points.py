@@ -39,6 +39,12 @@ def new_points(capacity: int) -> PointList:
     return PointList(np.zeros(capacity + DISTANCE, np.int32), np.empty(capacity, np.int32), u, v, w)
 
 
+@njit(inline="always")
+def part_of(share, across):
+    """The sub-cell at this share of a side. What lies just below a whole number is 1.0 above the one before."""
+    return min(np.int32(share * across), np.int32(across - 1))
+
+
 @njit(nogil=True)
 def locate_block(x, y, z, m, T, cells_per_m, i0, j0, near2, far2, across, places, parts, u, v, w):
     """m points (1-D arrays) → where they lie. Returns how many count."""
@@ -66,7 +72,8 @@ def locate_block(x, y, z, m, T, cells_per_m, i0, j0, near2, far2, across, places
         good += ok
         whole_a, whole_b = np.int32(a if ok else 0.0), np.int32(b if ok else 0.0)
         places[k] = place_of(whole_a, whole_b) if ok else NOWHERE
-        parts[k] = np.int32((north - j) * across) * across + np.int32((east - i) * across)
+        row, column = part_of(north - j, across), part_of(east - i, across)
+        parts[k] = row * across + column
         u[k], v[k], w[k] = east - i - 0.5, north - j - 0.5, up
     return good
 
@@ -76,8 +83,8 @@ def locate(points, T, cells_per_m, i0, j0, near2, far2, across, places, parts, u
     """(N, 3) points in the sensor's frame → where they lie in the window whose first cell is (i0, j0).
 
     T: 4×4 float64 T_world_sensor; near2, far2: squared range gate in m². A cell has across×across sub-cells. `dropped`
-    (5,) int64 is added to by reason, as in `rasterise`; `later` (N,) int64 receives the indices of the points beyond
-    the window.
+    (5,) int64 is added to by reason, as in `rasterise`; `later` (N,) int64 receives the indices of the points
+    beyond the window.
     """
     x, y, z = np.empty(BLOCK, points.dtype), np.empty(BLOCK, points.dtype), np.empty(BLOCK, points.dtype)
     for first in range(0, points.shape[0], BLOCK):
@@ -161,6 +168,6 @@ def add_up_reference(i: Array, j: Array, u: Floats, v: Floats, w: Floats, across
     terms = {"n": ones, "u": u, "v": v, "w": w, "uu": u * u, "uv": u * v, "vv": v * v, "uw": u * w, "vw": v * w}
     for name, term in terms.items():
         sums[name] = np.bincount(cell_of, term, len(cells))
-    row, column = (((a + 0.5) * across).astype(np.uint64) for a in (v, u))
+    row, column = (np.minimum((a + 0.5) * across, across - 1).astype(np.uint64) for a in (v, u))
     np.bitwise_or.at(sums["hit"], cell_of, np.uint64(1) << (row * np.uint64(across) + column))
     return cells % width + west, cells // width + south, sums

@@ -72,7 +72,8 @@ class Terrain:
         for field in ("confidence_gap", "confidence_high", "coarse_confidence"):
             if not 0 <= getattr(self, field) <= 1:
                 raise InputError(f"{field} {getattr(self, field)}: give a number from 0 to 1")
-        if not 0 <= self.min_range_m < (self.max_range_m or FARTHEST_M) <= FARTHEST_M:
+        farthest_m = FARTHEST_M if self.max_range_m is None else self.max_range_m
+        if not 0 <= self.min_range_m < farthest_m <= FARTHEST_M:
             raise InputError(f"range gate {self.min_range_m} to {self.max_range_m} m: give 0 ≤ min < max ≤ 1e8 m")
 
     def settings(self) -> dict[str, Any]:
@@ -95,7 +96,8 @@ class Terrain:
         """The maximum range that counts for a scan."""
         if self.max_range_m is not None:
             return self.max_range_m
-        return scan.beam.max_range_m if math.isfinite(scan.beam.max_range_m) else DEFAULT_RANGE_M
+        stated_m = scan.beam.max_range_m
+        return min(stated_m, FARTHEST_M) if math.isfinite(stated_m) else DEFAULT_RANGE_M
 
     def observer(self, lattice: Lattice) -> TerrainObserver:
         return TerrainObserver(self, lattice)
@@ -189,7 +191,8 @@ class Terrain:
 
     def confidence(self, cells: Array, reading: Reading) -> Floats:
         """0 to 255, aged to the time of reading; 0 where only static layers are given."""
-        return _where(self.known(cells), 255.0 * terrain.aged_reference(cells, reading.now_ns, self.rules(0.0)))
+        aged = terrain.aged_at(cells.reshape(-1), reading.now_ns, self.rules(0.0)).reshape(cells.shape)
+        return _where(self.known(cells), 255.0 * aged)
 
 
 def _where(known: Array, values: Array) -> Floats:

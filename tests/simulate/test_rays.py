@@ -41,15 +41,18 @@ def test_ranges_are_those_of_the_reference(origin: tuple[float, float]) -> None:
 
 
 def test_a_range_is_exact_where_float32_is_not() -> None:
-    """A level plane seen from 1.3 m above, 1 km from the middle, at a slope of 1 in 50: 1.3·√(50² + 1) m.
+    """A wall 1.3 m beside the sensor, 1 km from the middle, met at a slope of 1 in 50: 1.3·√(50² + 1) m.
 
-    Float32 has steps of 0.06 mm there, which at that incidence would be 3 mm of range.
+    Float32 has steps of 0.06 mm there: rounding to one errs by up to 0.03 mm across the ray, 1.5 mm along it, and wall
+    and sensor are both rounded.
     """
-    world = World("plane", Bounds(-1500.0, -1500.0, 1500.0, 1500.0), flat(Bounds(-1500.0, -1500.0, 1500.0, 1500.0)))
-    ray = np.array([[50.0, 0.0, -1.0]]) / np.sqrt(2501.0)
-    hits = RayCaster(world).cast([1000.123, -1000.456, 1.3], ray, 100.0)
-    assert hits.ranges_m[0] == pytest.approx(1.3 * np.sqrt(2501.0), abs=1e-11)
-    np.testing.assert_allclose(hits.normals[0], UP, atol=1e-12)
+    bounds = Bounds(-1500.0, -1500.0, 1500.0, 1500.0)
+    wall = Block("wall", 1002.423, -956.0, 200.0, 2.0, np.pi / 2, -1.0, 5.0, 5.0)
+    caster = RayCaster(World("wall", bounds, flat(bounds), furniture=(wall,)))
+    ray = np.array([[1.0, 50.0, 0.0]]) / np.sqrt(2501.0)
+    hits = caster.cast([1000.123, -1000.456, 1.3], ray, 100.0)
+    assert hits.ranges_m[0] == pytest.approx((1002.423 - 1.0 - 1000.123) * np.sqrt(2501.0), abs=1e-10)
+    np.testing.assert_allclose(hits.normals[0], [-1, 0, 0], atol=1e-12)
 
 
 def test_edges_are_where_they_should_be_to_a_tenth_of_a_millimetre() -> None:

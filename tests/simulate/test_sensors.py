@@ -113,11 +113,11 @@ def test_silence_is_a_miss_at_the_maximum_range() -> None:
 
 
 def test_the_ground_gives_no_echo_but_a_round_robot_does() -> None:
-    """0.3 m above the ground, the rim of a cone meets it at 78° at best. A robot of radius 0.25 m, 2 m away: 1.75 m."""
+    """0.3 m above the ground, the rim of a cone meets it at 78° at best. A robot of radius 0.2 m, 2 m away: 1.8 m."""
     sonar, caster = Sonar(raised(SOCCER, 0.3)), RayCaster(room(20.0))
     np.testing.assert_array_equal(sonar_ranges(sonar, caster, LEVEL), 3.0)
-    ranges = sonar_ranges(sonar, caster, LEVEL, body("soccer_robot", 2.0, 0.0, 0.0, 0.0))
-    assert ranges[0] == pytest.approx(1.75)
+    ranges = sonar_ranges(sonar, caster, LEVEL, body("soccer", 2.0, 0.0, 0.0, 0.0))
+    assert ranges[0] == pytest.approx(1.8)
     assert (ranges[3:14] == 3.0).all()
 
 

@@ -42,12 +42,12 @@ SHAPES: dict[str, tuple[Part, ...]] = {
     "van": (Part(5.2, 2.0, 0.25, 2.3),),
     "person": (cylinder(0.5, 0.0, 1.75),),
     "summit_xl": (Part(0.72, 0.61, 0.0, 0.5),),
-    "nomad": (cylinder(0.45, 0.0, 0.8),),
-    "soccer_robot": (cylinder(0.5, 0.0, 0.6),),
-    "drone": (cylinder(0.6, -0.1, 0.1),),
+    "nomad": (cylinder(0.534, 0.0, 0.8),),
+    "soccer": (cylinder(0.4, 0.0, 0.6),),
+    "drone": (cylinder(0.8, -0.1, 0.1),),
     "ball": (cylinder(0.22, 0.0, 0.22),),
 }
-"""What bodies consist of, by name. A drone's heights count from its middle."""
+"""What bodies consist of, by name; robots' are those of `motion.BODIES`. A drone's heights count from its middle."""
 
 
 def body(shape: str | Sequence[Part], x_m: float, y_m: float, z_m: float, yaw_rad: float) -> Array:

@@ -14,7 +14,7 @@ GOAL_M, GOAL_DEPTH_M = 2.0, 0.5
 
 def soccer_field() -> World:
     """The field's south-western corner is the origin, as in the paper; boards stand outside of its lines. Robots are no
-    part of it: they are bodies (`soccer_robot`)."""
+    part of it: they are bodies (`soccer`)."""
     h = BOARD_M / 2
     west, east, south, north = -h, EAST_M + h, -h, NORTH_M + h
     post, other = (EAST_M - GOAL_M) / 2 - h, (EAST_M + GOAL_M) / 2 + h

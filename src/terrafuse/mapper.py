@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Protocol
 
 import numpy as np
 
-from terrafuse.errors import InputError
-from terrafuse.exchange.delta import Delta, TileCells, map_id
+from terrafuse.errors import InputError, StoreError
+from terrafuse.exchange.delta import MAX_NAME, MAX_REVISION, Delta, TileCells, is_robot_name, map_id
 from terrafuse.lattice import MAX_CELL, Lattice, union
 from terrafuse.models import make_model
 from terrafuse.models.base import AnyPatch, Model
 from terrafuse.store.base import PathPoint
 from terrafuse.tile import Tile
-from terrafuse.types import Pose, Scan, TileKey, checked_pose, is_rigid
+from terrafuse.types import Pose, Scan, Stamp, TileKey, checked_pose, is_rigid
 from terrafuse.window import Allocation, KeepAll, Residency, Window
 
 LEAVING_SHARE = 4
@@ -32,6 +32,8 @@ class Archive(Protocol):
     def load(self, robot: str, key: TileKey) -> TileCells | None: ...
 
     def revision(self, robot: str) -> int: ...
+
+    def stamp(self, robot: str) -> Stamp: ...
 
     def revisions(self, robot: str) -> dict[TileKey, int]: ...
 
@@ -82,8 +84,8 @@ class Mapper:
         window: Window | None = None,
         archive: Archive | None = None,
     ) -> None:
-        if not robot or not robot.isprintable() or len(robot) > 200:
-            raise InputError(f"robot name {robot!r}: give 1 to 200 printable characters")
+        if not is_robot_name(robot):
+            raise InputError(f"robot name {robot!r}: give 1 to {MAX_NAME} printable characters")
         if archive is None and window is not None and not isinstance(window, KeepAll):
             raise InputError("a window that drops tiles needs an archive to drop them into")
         self.robot = robot
@@ -99,7 +101,8 @@ class Mapper:
         self._resident: dict[TileKey, Tile] = {}
         self._revisions = archive.revisions(robot) if archive else {}
         self._committed = self._revision = archive.revision(robot) if archive else 0
-        self._stamp_ns = 0
+        self._stamp_ns = archive.stamp(robot) if archive else 0
+        self._resident_bytes = 0
         self._path: list[PathPoint] = []
 
     @property
@@ -109,7 +112,7 @@ class Mapper:
 
     @property
     def resident_bytes(self) -> int:
-        return sum(tile.nbytes for tile in self._resident.values())
+        return self._resident_bytes
 
     @property
     def keys(self) -> list[TileKey]:
@@ -118,7 +121,7 @@ class Mapper:
 
     def integrate(self, scan: Scan) -> Integrated:
         """Take a scan into the map: observe, page in, merge, page out."""
-        self._check(scan)
+        scan = self._checked(scan)
         t0 = perf_counter()
         patch = self._observe(scan)
         t1 = perf_counter()
@@ -136,7 +139,8 @@ class Mapper:
             self.seconds[stage] += seconds
         return Integrated(self._revision, patch.points, patch.dropped, patch.cells, len(patch.keys))
 
-    def _check(self, scan: Scan) -> None:
+    def _checked(self, scan: Scan) -> Scan:
+        """The scan with a stamp of Python's own, which no arithmetic turns into a float."""
         if not isinstance(scan.T_world_sensor, Pose):
             raise InputError("a scan's T_world_sensor is a Pose; make one of a matrix with checked_pose(matrix)")
         if not isinstance(scan.stamp_ns, int | np.integer):
@@ -148,6 +152,11 @@ class Mapper:
         position = scan.T_world_sensor.position.tolist()
         if not all(abs(value) * self.lattice.cells_per_m <= MAX_CELL for value in position):
             raise InputError(f"position {position} lies beyond the lattice")
+        if self._revision == MAX_REVISION:
+            raise InputError(
+                f"robot '{self.robot}' has reported {MAX_REVISION} scans, the most there can be; rename it"
+            )
+        return scan if type(scan.stamp_ns) is int else replace(scan, stamp_ns=int(scan.stamp_ns))
 
     def _whereabouts(self, scan: Scan, patch: AnyPatch) -> tuple[float, float]:
         """Where the window should be: the sensor's place, or the middle of what it saw if that is elsewhere.
@@ -204,6 +213,11 @@ class Mapper:
         held = self._archive.load(self.robot, key) if self._archive else None
         if held is None:
             raise InputError(f"tile {tuple(key)} of robot '{self.robot}' is not in the archive any more")
+        if len(held.cells) and held.cells["revision"].max() > self._revision:
+            raise StoreError(
+                f"tile {tuple(key)} of robot '{self.robot}' has cells newer than the robot's newest report, revision "
+                f"{self._revision}: the store is damaged, map again from the logs"
+            )
         return held
 
     def _tile(self, key: TileKey) -> Tile:
@@ -217,6 +231,7 @@ class Mapper:
                 self.paging.loads += 1
             # Only now: a load that failed must not leave an empty tile in the place of what is stored.
             self._resident[key] = tile
+            self._resident_bytes += tile.nbytes
             self.paging.most_resident = max(self.paging.most_resident, len(self._resident))
             self.paging.most_bytes = max(self.paging.most_bytes, self.resident_bytes)
         return tile
@@ -237,6 +252,6 @@ class Mapper:
         """After a commit. That wrote all that was new, not only these tiles: every state of the archive is then the map
         after some scan, from which a restarted robot can go on."""
         for key in self._leaving:
-            del self._resident[key]
+            self._resident_bytes -= self._resident.pop(key).nbytes
         self.paging.evictions += len(self._leaving)
         self._leaving = set()

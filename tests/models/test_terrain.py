@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from terrafuse.errors import InputError
 from terrafuse.kernels import terrain as kernel
-from terrafuse.lattice import Lattice
+from terrafuse.lattice import MAX_CELL, Lattice
 from terrafuse.mapper import Mapper
 from terrafuse.models.base import Reading
 from terrafuse.models.terrain import Terrain
@@ -197,6 +197,18 @@ def test_the_maximum_range_is_the_settings_then_the_sensors_then_50_m() -> None:
     assert Terrain().range_m(replace(sonar, beam=Beam(max_range_m=1e200))) == 1e8
     done = Mapper("r", LATTICE, Terrain()).integrate(Scan(0, np.array([(51.0, 0, 0), (5, 0, 0)]), Pose.identity()))
     assert (done.cells, dict(done.dropped)) == (1, {"beyond max_range_m": 1})
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_points_beyond_the_lattice_are_dropped(axis: int, sign: int) -> None:
+    """10 m before the last cell: of points 5, 50 and 9000 m further (the index grid ends at 2048) the first counts."""
+    points, place = np.zeros((3, 3)), np.zeros(3)
+    points[:, axis], place[axis] = np.multiply(sign, (5.0, 50.0, 9000.0)), sign * (MAX_CELL - 10)
+    mapper = Mapper("r", LATTICE, FAR_AWAY)
+    done = mapper.integrate(Scan(0, points, pose_of(np.eye(3), place)))
+    assert (done.cells, dict(done.dropped)) == (1, {"beyond the lattice": 2})
+    assert Replica(LATTICE, FAR_AWAY).apply(mapper.delta())
 
 
 @pytest.mark.parametrize(("seconds", "share"), [(0, 1), (600, 1 / 2), (1200, 1 / 4), (300, math.sqrt(0.5))])

@@ -14,6 +14,11 @@ from terrafuse.lattice import MAX_CELL, Lattice
 from terrafuse.types import Array, Stamp, TileKey
 
 MAX_NAME = 200
+MAX_REVISION = 2**32 - 1
+
+
+def is_robot_name(name: str) -> bool:
+    return 0 < len(name) <= MAX_NAME and name.isprintable()
 
 
 @dataclass(frozen=True)
@@ -71,9 +76,9 @@ class Delta:
 
 def check_content(delta: Delta) -> None:
     """Raise DeltaError for what no mapper makes: a message may say anything, and one bad cell would stay for good."""
-    if not 0 < len(delta.robot) <= MAX_NAME or not delta.robot.isprintable():
+    if not is_robot_name(delta.robot):
         raise DeltaError(f"robot {delta.robot!r}: a name has 1 to {MAX_NAME} printable characters")
-    if not 0 <= delta.since <= delta.revision < 2**32 or not 0 <= delta.stamp_ns < 2**63:
+    if not 0 <= delta.since <= delta.revision <= MAX_REVISION or not 0 <= delta.stamp_ns < 2**63:
         raise DeltaError(f"impossible revisions {delta.since} to {delta.revision} or stamp {delta.stamp_ns}")
     if any(one.key >= following.key for one, following in pairwise(delta.tiles)):
         raise DeltaError("tiles that do not rise")

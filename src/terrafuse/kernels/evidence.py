@@ -123,7 +123,12 @@ def take(own, new):
 
 @njit(inline="always")
 def add(own, new):
-    """own := own + new, exactly (Chan et al.'s pairwise merge, with the term between the means, in sums)."""
+    """own := own + new, exactly (Chan et al.'s pairwise merge, with the term between the means, in sums).
+
+    A cell that has seen 2³² points by then has seen enough: it keeps what it knows.
+    """
+    if np.uint64(own.n) + np.uint64(new.n) > np.uint64(0xFFFFFFFF):
+        return
     own.n += new.n
     own.z_min = min(own.z_min, new.z_min)
     own.z_max = max(own.z_max, new.z_max)

@@ -14,6 +14,7 @@ from numba import njit
 
 from terrafuse.kernels.evidence import EVIDENCE, MAX_Z_M, TICKS_PER_M, Z_NONE_MAX, Z_NONE_MIN, empty, hit, ticks
 from terrafuse.kernels.memory import DISTANCE, prefetch
+from terrafuse.lattice import MAX_CELL
 from terrafuse.types import Array, Floats
 
 BLOCK = 2048
@@ -25,8 +26,15 @@ PATCHWORK_BITS = 5
 NOWHERE = WINDOW * WINDOW
 """The grid's extra cell, which takes the points that don't count."""
 
-NOT_FINITE, TOO_NEAR, TOO_FAR, TOO_HIGH, LATER = range(5)
-DROP_REASONS = ("not finite", "nearer than min_range_m", "beyond max_range_m", "height beyond ±10 km")
+NOT_FINITE, TOO_NEAR, TOO_FAR, TOO_HIGH, OFF_LATTICE, LATER = range(6)
+DROP_REASONS = (
+    "not finite",
+    "nearer than min_range_m",
+    "beyond max_range_m",
+    "height beyond ±10 km",
+    "beyond the lattice",
+)
+COUNTERS = len(DROP_REASONS) + 1
 
 
 class Patchwork(NamedTuple):
@@ -114,8 +122,16 @@ def locate(x, y, z, m, T, cells_per_m, i0, j0, near2, far2, places, heights):
     return good
 
 
+@njit(inline="always")
+def on_lattice(T, px, py, pz, cells_per_m):
+    """Whether the lattice has a cell for a point of the sensor's frame."""
+    east = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
+    north = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
+    return max(abs(east), abs(north)) * cells_per_m <= MAX_CELL
+
+
 @njit(nogil=True)
-def account(x, y, z, m, T, near2, far2, first, places, dropped, later):
+def account(x, y, z, m, T, cells_per_m, near2, far2, first, places, dropped, later):
     """Count by reason why points of a block don't count; write the indices of those beyond the window to `later`."""
     for k in range(m):
         if places[k] != NOWHERE:
@@ -131,6 +147,8 @@ def account(x, y, z, m, T, near2, far2, first, places, dropped, later):
             dropped[TOO_FAR] += 1
         elif not (up >= -MAX_Z_M and up <= MAX_Z_M):
             dropped[TOO_HIGH] += 1
+        elif not on_lattice(T, px, py, pz, cells_per_m):
+            dropped[OFF_LATTICE] += 1
         else:
             later[dropped[LATER]] = first + k
             dropped[LATER] += 1
@@ -142,9 +160,9 @@ def rasterise(points, T, cells_per_m, i0, j0, near2, far2, grid, first_slot, pla
 
     `grid` holds nothing that is `first_slot` or more.
 
-    T: 4×4 float64 T_world_sensor; near2, far2: squared range gate in m². `dropped` (5,) int64 is added to; `later` (N,)
-    int64 receives the indices of points beyond the window, dropped[LATER] of them. `records` must hold N + 1. The slot
-    of NOWHERE, if any, is the caller's to ignore.
+    T: 4×4 float64 T_world_sensor; near2, far2: squared range gate in m². `dropped` (COUNTERS,) int64 is added to;
+    `later` (N,) int64 receives the indices of points beyond the window, dropped[LATER] of them. `records` holds
+    N + 1. The slot of NOWHERE, if any, is the caller's to ignore.
     """
     x = np.empty(BLOCK, points.dtype)
     y = np.empty(BLOCK, points.dtype)
@@ -160,7 +178,7 @@ def rasterise(points, T, cells_per_m, i0, j0, near2, far2, grid, first_slot, pla
             z[k] = points[first + k, 2]
         good = locate(x, y, z, m, T, cells_per_m, i0, j0, near2, far2, where, heights)
         if good < m:
-            account(x, y, z, m, T, near2, far2, first, where, dropped, later)
+            account(x, y, z, m, T, cells_per_m, near2, far2, first, where, dropped, later)
         for k in range(m):
             prefetch(grid, where[k + DISTANCE])
             place = where[k]

@@ -14,6 +14,7 @@ from numba import njit
 from terrafuse.kernels.evidence import MAX_Z_M
 from terrafuse.kernels.memory import DISTANCE, prefetch
 from terrafuse.kernels.rasterise import BLOCK, NOWHERE, WINDOW, account, place_of
+from terrafuse.lattice import MAX_CELL
 from terrafuse.types import Array, Floats
 
 SUMS = np.dtype(
@@ -68,6 +69,8 @@ def locate_block(x, y, z, m, T, cells_per_m, i0, j0, near2, far2, across, places
             & (b >= 0.0)
             & (b < WINDOW)
             & (abs(up + t2) <= MAX_Z_M)
+            & (abs(east) <= MAX_CELL)
+            & (abs(north) <= MAX_CELL)
         )
         good += ok
         whole_a, whole_b = np.int32(a if ok else 0.0), np.int32(b if ok else 0.0)
@@ -83,7 +86,7 @@ def locate(points, T, cells_per_m, i0, j0, near2, far2, across, places, parts, u
     """(N, 3) points in the sensor's frame → where they lie in the window whose first cell is (i0, j0).
 
     T: 4×4 float64 T_world_sensor; near2, far2: squared range gate in m². A cell has across×across sub-cells. `dropped`
-    (5,) int64 is added to by reason, as in `rasterise`; `later` (N,) int64 receives the indices of the points
+    (COUNTERS,) int64 is added to by reason, as in `rasterise`; `later` (N,) int64 receives the indices of the points
     beyond the window.
     """
     x, y, z = np.empty(BLOCK, points.dtype), np.empty(BLOCK, points.dtype), np.empty(BLOCK, points.dtype)
@@ -97,7 +100,7 @@ def locate(points, T, cells_per_m, i0, j0, near2, far2, across, places, parts, u
         where, part, a, b, c = places[first:end], parts[first:end], u[first:end], v[first:end], w[first:end]
         good = locate_block(x, y, z, m, T, cells_per_m, i0, j0, near2, far2, across, where, part, a, b, c)
         if good < m:
-            account(x, y, z, m, T, near2, far2, first, where, dropped, later)
+            account(x, y, z, m, T, cells_per_m, near2, far2, first, where, dropped, later)
 
 
 @njit(cache=True, nogil=True)
@@ -153,6 +156,7 @@ def locate_reference(
     east, north = ((T[a, 0] * p[:, 0] + T[a, 1] * p[:, 1] + T[a, 2] * p[:, 2] + T[a, 3]) * cells_per_m for a in (0, 1))
     up = T[2, 0] * p[:, 0] + T[2, 1] * p[:, 1] + T[2, 2] * p[:, 2]
     ok = np.isfinite(range2) & (range2 >= near_m**2) & (range2 <= far_m**2) & (np.abs(up + T[2, 3]) <= MAX_Z_M)
+    ok &= (np.abs(east) <= MAX_CELL) & (np.abs(north) <= MAX_CELL)
     east, north, up = east[ok], north[ok], up[ok]
     i, j = np.floor(east), np.floor(north)
     return i.astype(np.int64), j.astype(np.int64), east - i - 0.5, north - j - 0.5, up

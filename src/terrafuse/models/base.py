@@ -44,7 +44,7 @@ class AnyPatch(Protocol):
         """Points that did not count, by reason."""
 
     def merge_into(self, tiles: Sequence[Any], stamp_ns: int, revision: int) -> None:
-        """Merge into these tiles, one for each key in the same order. `revision` is no smaller than any before."""
+        """Merge into these tiles, one for each key in the same order. `revision` is larger than any before."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,8 @@ from terrafuse.models.base import Layer, Reading, UnsortedPatch, checked_ends, f
 from terrafuse.tile import aligned_zeros
 from terrafuse.types import Array, Floats, Scan, TileKey
 
+FARTHEST_M = 1e8
+
 
 @dataclass(frozen=True)
 class Elevation:
@@ -37,7 +39,7 @@ class Elevation:
     up to slope·r in mean, and points within one have a variance of up to (slope·r)²/4: both thresholds are at least
     that, or large cells on a hillside would count as moving. Up to 0.2 m it changes nothing."""
     min_range_m: float = 0.0
-    max_range_m: float = 1e8
+    max_range_m: float = FARTHEST_M
     """Points nearer or further from the sensor are dropped; the default keeps all."""
     traversability_cells: int = 5
     """Side k of the square over which a plane is fitted for `traversability`; odd."""
@@ -55,8 +57,8 @@ class Elevation:
         for field in ("variance_threshold_m2", "flat_tolerance_m", "impassable_roughness", "flat_slope"):
             if not getattr(self, field) > 0:
                 raise InputError(f"{field} {getattr(self, field)}: give a positive number")
-        if not 0 <= self.min_range_m < self.max_range_m:
-            raise InputError(f"range gate {self.min_range_m} to {self.max_range_m} m is empty")
+        if not 0 <= self.min_range_m < self.max_range_m <= FARTHEST_M:
+            raise InputError(f"range gate {self.min_range_m} to {self.max_range_m} m: give 0 ≤ min < max ≤ 1e8 m")
 
     def settings(self) -> dict[str, Any]:
         return asdict(self)
@@ -186,6 +188,11 @@ class ElevationTile:
         """As absorb.STATE."""
         return *self._addresses, self._count, self._reported
 
+    def check_newer(self, revision: int) -> None:
+        """Raise InputError unless nothing is as new: the list of changes has room for each cell once a revision."""
+        if revision <= max(self.revision, self._reported):
+            raise InputError(f"revision {revision} is not larger than {self.revision}, which the tile has")
+
     def merged(self, changed: int, revision: int) -> None:
         """The kernel was here: so many positions are in the list of changes now."""
         self._count = changed
@@ -227,6 +234,8 @@ class ElevationPatch(UnsortedPatch):
     rules: absorb.Rules
 
     def merge_into(self, tiles: Sequence[ElevationTile], stamp_ns: int, revision: int) -> None:
+        for tile in tiles:
+            tile.check_newer(revision)
         states = np.array([tile.state for tile in tiles], absorb.STATE)
         absorb.merge(states, self.tile_of, self.at, self.records, stamp_ns, revision, self.rules)
         for tile, count in zip(tiles, states["count"].tolist(), strict=True):
@@ -246,7 +255,7 @@ class ElevationObserver:
 
     def __call__(self, scan: Scan) -> ElevationPatch:
         T_world_sensor = scan.T_world_sensor.matrix
-        dropped = np.zeros(5, np.int64)
+        dropped = np.zeros(rasterise.COUNTERS, np.int64)
         parts: list[ElevationPatch] = []
         points = checked_ends("points", scan.points)
         centre = T_world_sensor[:2, 3]

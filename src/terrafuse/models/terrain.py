@@ -266,7 +266,7 @@ class TerrainObserver:
     def __call__(self, scan: Scan) -> TerrainPatch:
         points = checked_ends("points", scan.points)
         T, max_range_m = scan.T_world_sensor.matrix, self._model.range_m(scan)
-        dropped = np.zeros(5, np.int64)
+        dropped = np.zeros(rasterise.COUNTERS, np.int64)
         origin = self._lattice.cell(T[:2, 3]) - rasterise.WINDOW // 2
         found = self._pass(points, T, max_range_m, (int(origin[0]), int(origin[1])), dropped)
         if dropped[rasterise.LATER]:
@@ -286,7 +286,9 @@ class TerrainObserver:
         parts = []
         for x, y in np.unique(np.stack([ends[0] // block, ends[1] // block], axis=1), axis=0).tolist():
             origin = x * block - 1, y * block - 1
-            keys, tile_of, at, records = self._pass(points, T, max_range_m, origin, np.zeros(5, np.int64))
+            keys, tile_of, at, records = self._pass(
+                points, T, max_range_m, origin, np.zeros(rasterise.COUNTERS, np.int64)
+            )
             corner = np.array(keys, np.int64).reshape(-1, 3)[tile_of, :2] * side
             i, j = corner[:, 0] + at % side, corner[:, 1] + at // side
             inside = (i // block == x) & (j // block == y)

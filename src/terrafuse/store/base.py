@@ -94,9 +94,17 @@ def check_delta(delta: Delta, map_: MapId, model: Model) -> None:
 
 
 def newest(dense: Array, at: Array, cells: Array) -> None:
-    """Put cells (K,) into a dense tile (T²,) where their revision is newer than what is there."""
+    """Put cells (K,) into a dense tile (T²,) where they are newer than what is there.
+
+    The newer revision counts. Equal ones with other content come of a robot that was started afresh under its old name:
+    of these the newer stamp counts, and of equal stamps the larger bytes, so that even then the order in which they
+    arrive makes no difference.
+    """
+    given, held = opaque(np.ascontiguousarray(cells)), opaque(dense)[at]
     newer = cells["revision"] > dense["revision"][at]
-    opaque(dense)[at[newer]] = opaque(np.ascontiguousarray(cells))[newer]
+    for k in np.flatnonzero((cells["revision"] == dense["revision"][at]) & (given != held)):
+        newer[k] = (cells["stamp"][k], given[k].tobytes()) > (dense["stamp"][at[k]], held[k].tobytes())
+    opaque(dense)[at[newer]] = given[newer]
 
 
 def sparse(dense: Array) -> tuple[Array, Array]:

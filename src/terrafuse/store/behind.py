@@ -13,7 +13,7 @@ import numpy as np
 
 from terrafuse.exchange.delta import Delta, TileCells
 from terrafuse.store.base import PathPoint, Store, newest, sparse
-from terrafuse.types import TileKey
+from terrafuse.types import Stamp, TileKey
 
 MAX_WAITING = 16
 """Deltas in the queue. Beyond this the robot waits: memory stays bounded where a disk can't keep up."""
@@ -55,6 +55,10 @@ class WriteBehind:
     def revision(self, robot: str) -> int:
         waiting = [delta.revision for delta in self._waiting_of(robot)]
         return max(self._store.revision(robot), *waiting, 0)
+
+    def stamp(self, robot: str) -> Stamp:
+        waiting = [delta.stamp_ns for delta in self._waiting_of(robot)]
+        return max(self._store.stamp(robot), *waiting, 0)
 
     def revisions(self, robot: str) -> dict[TileKey, int]:
         waiting = self._waiting_of(robot)

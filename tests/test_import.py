@@ -470,3 +470,11 @@ def test_without_pillow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setitem(sys.modules, "PIL", None)
     with pytest.raises(InputError, match=r"terrafuse\[plot\]"):
         import_map(source, tmp_path / "map.db")
+
+
+def test_a_map_is_not_replaced_by_its_own_import(tmp_path: Path) -> None:
+    file = tmp_path / "map.yaml"
+    file.write_text("image: map.pgm\n")
+    with pytest.raises(InputError, match="that is the file itself"):
+        import_map(file, file, overwrite=True)
+    assert file.read_text() == "image: map.pgm\n"

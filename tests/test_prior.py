@@ -185,6 +185,38 @@ def test_bad_files_are_named_with_a_remedy(case: str, tmp_path: Path) -> None:
     assert name in str(caught.value)
 
 
+ODD = {
+    "properties in a list": ({**square(0, 0, 1), "properties": [1]}, {}, "properties by name"),
+    "a number of 400 digits": (square(0, 0, 1, height_m=10**400), {}, "height_m is 1000"),
+    "a CRS of text": (square(0, 0, 1, height_m=1), {"crs": {"properties": "x"}}, "names no CRS"),
+}
+
+
+@pytest.mark.parametrize("case", ODD)
+def test_odd_features_are_refused(case: str, tmp_path: Path) -> None:
+    feature, members, message = ODD[case]
+    with pytest.raises(InputError, match=message):
+        open_prior([str(geojson(tmp_path / "a.geojson", feature, **members))])
+
+
+def test_json_that_nests_without_end(tmp_path: Path) -> None:
+    (tmp_path / "a.geojson").write_text("[" * 200_000)
+    with pytest.raises(InputError, match="can't be read as GeoJSON"):
+        open_prior([str(tmp_path / "a.geojson")])
+
+
+def test_degrees_are_not_taken_for_metres_of_a_local_frame(tmp_path: Path) -> None:
+    file = geojson(tmp_path / "a.geojson", square(0, 0, 1, height_m=1))
+    with pytest.raises(InputError, match="the map in a frame of its own; say where that lies: --crs"):
+        list(open_prior([f"{file}?crs=EPSG:4326"]).deltas(LATTICE, TERRAIN))
+
+
+def test_a_prior_of_a_country_is_refused_at_once(tmp_path: Path) -> None:
+    file = geojson(tmp_path / "a.geojson", square(0, 0, 1_000_000, gps_quality=1))
+    with pytest.raises(InputError, match="at most 2e"):
+        list(open_prior([str(file)]).deltas(LATTICE, TERRAIN))
+
+
 def test_bad_options(tmp_path: Path) -> None:
     file = geojson(tmp_path / "a.geojson", square(0, 0, 1, height_m=1))
     for option, message in {

@@ -41,6 +41,8 @@ def import_map(
     name = importer_of(source)
     if not source.is_file():
         raise InputError(f"{source}: no such file")
+    if target.exists() and target.samefile(source):
+        raise InputError(f"{target}: that is the file itself; choose another --out")
     if target.exists() and not overwrite:
         raise OutputError(f"{target}: exists already; choose another --out, or replace it with --overwrite")
     taken = IMPORTERS[name].take(source, wishes)

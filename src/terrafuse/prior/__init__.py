@@ -28,6 +28,9 @@ ROBOT = "prior"
 CONFIDENCE = 0.1
 """Of heights that come without one: a glance from the far end of a lidar's range is surer."""
 
+MAX_CELLS = 2 * 10**8
+"""Within a file's bounds: 20 by 10 km of 1 m cells. Ten million take about half a minute."""
+
 RASTERS, POLYGONS = (".tif", ".tiff", ".hgt", ".asc", ".img", ".vrt"), (".geojson", ".json")
 OPTIONS = {
     "confidence": f"of heights that come without one, 0 to 1 (default {CONFIDENCE})",
@@ -137,6 +140,11 @@ def _confidence(path: Path, options: Mapping[str, str]) -> float:
 
 def _check_place(source: PriorSource, path: Path, lattice: Lattice) -> None:
     """Raise InputError for coordinates that must be degrees, in a map of metres, of a file that doesn't say so."""
+    if lattice.crs is None and source.crs is not None:
+        raise InputError(
+            f"prior map {path}: is in {source.crs[:40]}, and the map in a frame of its own; "
+            "say where that lies: --crs EPSG:… --origin EAST,NORTH"
+        )
     if lattice.crs is None or source.crs is not None:
         return
     west, south, east, north = source.bounds(None)
@@ -150,6 +158,11 @@ def _check_place(source: PriorSource, path: Path, lattice: Lattice) -> None:
 def _tiles(source: PriorSource, lattice: Lattice) -> Iterator[TileKey]:
     """The tiles that the source's bounds meet."""
     i0, j0, i1, j1 = lattice.cell_window(source.bounds(lattice.crs))
+    if (i1 - i0) * (j1 - j0) > MAX_CELLS:
+        raise InputError(
+            f"a prior map of {(i1 - i0) * (j1 - j0):.2g} cells of {lattice.resolution_m:g} m: at most {MAX_CELLS:.0e}; "
+            "cut out the part around the robots, or use larger cells"
+        )
     side = lattice.tile_cells
     for y in range(j0 // side, (j1 - 1) // side + 1):
         for x in range(i0 // side, (i1 - 1) // side + 1):

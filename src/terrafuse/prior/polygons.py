@@ -92,7 +92,7 @@ def open_polygons(path: Path, confidence: float, options: Mapping[str, str]) -> 
 def _content(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, RecursionError) as error:
         raise InputError(f"prior map {path}: can't be read as GeoJSON: {error}") from error
     if not isinstance(content, dict) or not isinstance(content.get("features"), list):
         raise InputError(f"prior map {path}: is no GeoJSON FeatureCollection; it needs a list of 'features'")
@@ -102,15 +102,23 @@ def _content(path: Path) -> dict[str, Any]:
 def _stated_crs(content: Mapping[str, Any]) -> str | None:
     """The CRS by GeoJSON 2008's member, which GIS programs still write for other than longitude and latitude."""
     member = content.get("crs") or {}
-    return (member.get("properties") or {}).get("name") if isinstance(member, dict) else None
+    try:
+        name = (member.get("properties") or {}).get("name")
+    except AttributeError:
+        name = member
+    if name is not None and not isinstance(name, str):
+        raise InputError(
+            f"the 'crs' member {member!r:.60} names no CRS; write {{'properties': {{'name': 'EPSG:32632'}}}}"
+        )
+    return name
 
 
 def _feature(feature: Any, where: str, confidence: float) -> Feature:
     try:
         kind, coordinates = feature["geometry"]["type"], feature["geometry"]["coordinates"]
-        given = feature.get("properties") or {}
-    except (TypeError, KeyError, AttributeError):
-        raise InputError(f"{where}: needs a geometry with a type and coordinates") from None
+        given = dict(feature.get("properties") or {})
+    except (TypeError, ValueError, KeyError, AttributeError):
+        raise InputError(f"{where}: needs a geometry with a type and coordinates, and properties by name") from None
     if kind not in ("Polygon", "MultiPolygon"):
         raise InputError(f"{where}: a {kind}; prior knowledge comes on a Polygon or MultiPolygon")
     values = {name: _number(given[name], name, where) for name in PROPERTIES if given.get(name) is not None}
@@ -122,7 +130,7 @@ def _feature(feature: Any, where: str, confidence: float) -> Feature:
 
 
 def _number(value: Any, name: str, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e9:
         raise InputError(f"{where}: {name} is {value!r}; give a number")
     return float(value)
 

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
-import json
 import platform
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bench.bound import Bound
+from bench.report import parser, tell
 from bench.rivals import RIVALS
 from bench.stream import stream
 from terrafuse.lattice import Lattice
@@ -160,16 +158,12 @@ def measure(count: int, order: str) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", type=Path, help="also write the figures to this file")
-    parser.add_argument("--scans", type=int, default=100)
-    parser.add_argument("--order", choices=("ring", "firing"), default="ring")
-    arguments = parser.parse_args()
+    arguments_of = parser(__doc__)
+    arguments_of.add_argument("--scans", type=int, default=100)
+    arguments_of.add_argument("--order", choices=("ring", "firing"), default="ring")
+    arguments = arguments_of.parse_args()
     figures = measure(arguments.scans, arguments.order)
-    text = json.dumps(figures, indent=1)
-    print(text)
-    if arguments.json:
-        arguments.json.write_text(text + "\n")
+    tell(figures, arguments.json)
 
 
 if __name__ == "__main__":

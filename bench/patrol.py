@@ -11,19 +11,17 @@ plane, whose slopes are gradients, too; gradients, the neighbours' differences w
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import platform
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from bench.report import parser, tell
 from bench.stream import scene
 from terrafuse.demo.scene import Lidar, scan
 from terrafuse.kernels import rasterise, terrain, terrain_coarsen, terrain_planes, terrain_points
@@ -263,15 +261,11 @@ def measure(count: int, rounds: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", type=Path, help="also write the figures to this file")
-    parser.add_argument("--scans", type=int, default=5)
-    parser.add_argument("--rounds", type=int, default=10)
-    arguments = parser.parse_args()
-    text = json.dumps(measure(arguments.scans, arguments.rounds), indent=1)
-    print(text)
-    if arguments.json:
-        arguments.json.write_text(text + "\n")
+    arguments_of = parser(__doc__)
+    arguments_of.add_argument("--scans", type=int, default=5)
+    arguments_of.add_argument("--rounds", type=int, default=10)
+    arguments = arguments_of.parse_args()
+    tell(measure(arguments.scans, arguments.rounds), arguments.json)
 
 
 if __name__ == "__main__":

@@ -7,8 +7,6 @@ field of rough ground with obstacles also what comes before a plan: the distance
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import platform
 from pathlib import Path
@@ -19,6 +17,7 @@ import numpy as np
 from tests.navigate.movingai import Problem, scenarios
 
 from bench.__main__ import best
+from bench.report import parser, tell
 from terrafuse.kernels.astar import cheapest_way_reference
 from terrafuse.kernels.distance import squared_distance
 from terrafuse.navigate import Robot, plan
@@ -112,15 +111,11 @@ def measure(side: int, by_reference: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", type=Path, help="also write the figures to this file")
-    parser.add_argument("--side", type=int, default=2000, help="cells along a side of the field, at least 100")
-    parser.add_argument("--reference-problems", type=int, default=20, help="of each map, solved in Python too")
-    arguments = parser.parse_args()
-    text = json.dumps(measure(arguments.side, arguments.reference_problems), indent=1)
-    print(text)
-    if arguments.json:
-        arguments.json.write_text(text + "\n")
+    arguments_of = parser(__doc__)
+    arguments_of.add_argument("--side", type=int, default=2000, help="cells along a side of the field, at least 100")
+    arguments_of.add_argument("--reference-problems", type=int, default=20, help="of each map, solved in Python too")
+    arguments = arguments_of.parse_args()
+    tell(measure(arguments.side, arguments.reference_problems), arguments.json)
 
 
 if __name__ == "__main__":

@@ -7,8 +7,6 @@ voxels. Sonars are in bench.sonar.
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import platform
 import time
@@ -19,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.report import parser, tell
 from terrafuse.kernels.rays import Tracer, trace_reference
 from terrafuse.lattice import Lattice
 from terrafuse.logs import open_log
@@ -172,14 +171,10 @@ def measure(rounds: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", type=Path, help="also write the figures to this file")
-    parser.add_argument("--rounds", type=int, default=5)
-    arguments = parser.parse_args()
-    text = json.dumps(measure(arguments.rounds), indent=1)
-    print(text)
-    if arguments.json:
-        arguments.json.write_text(text + "\n")
+    arguments_of = parser(__doc__)
+    arguments_of.add_argument("--rounds", type=int, default=5)
+    arguments = arguments_of.parse_args()
+    tell(measure(arguments.rounds), arguments.json)
 
 
 if __name__ == "__main__":

@@ -10,16 +10,14 @@ several rounds counts.
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import platform
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from bench.report import parser, tell
 from terrafuse.sense import Ring, Sensor
 from terrafuse.sense.sensor import Mounting, axes
 from terrafuse.simulate.movers import bodies, body
@@ -94,14 +92,10 @@ def measure(rounds: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", type=Path, help="also write the figures to this file")
-    parser.add_argument("--rounds", type=int, default=10)
-    arguments = parser.parse_args()
-    text = json.dumps(measure(arguments.rounds), indent=1)
-    print(text)
-    if arguments.json:
-        arguments.json.write_text(text + "\n")
+    arguments_of = parser(__doc__)
+    arguments_of.add_argument("--rounds", type=int, default=10)
+    arguments = arguments_of.parse_args()
+    tell(measure(arguments.rounds), arguments.json)
 
 
 if __name__ == "__main__":

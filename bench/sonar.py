@@ -7,16 +7,14 @@ of the machine hits all alike; a scan's time is the least of the rounds.
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import platform
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bench.__main__ import Work, seconds_of_all
+from bench.report import parser, tell
 from terrafuse.kernels import grey
 from terrafuse.lattice import Lattice
 from terrafuse.mapper import Mapper
@@ -126,20 +124,16 @@ def measure(scans: list[Scan]) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", type=Path, help="also write the figures to this file")
-    parser.add_argument("--scans", type=int, default=300)
-    arguments = parser.parse_args()
+    arguments_of = parser(__doc__)
+    arguments_of.add_argument("--scans", type=int, default=300)
+    arguments = arguments_of.parse_args()
     figures = {
         "machine": f"{platform.machine()}, Python {platform.python_version()}, NumPy {np.__version__}",
         "ring": {"sonars": 16, "range_m": SENSOR.max_range_m, "cell_m": INCH_M, "scans": arguments.scans},
         "hallway": measure(hallway(arguments.scans)),
         "all at maximum range": measure(open_space(arguments.scans)),
     }
-    text = json.dumps(figures, indent=1)
-    print(text)
-    if arguments.json:
-        arguments.json.write_text(text + "\n")
+    tell(figures, arguments.json)
 
 
 if __name__ == "__main__":

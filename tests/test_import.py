@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from pathlib import Path
@@ -135,6 +136,31 @@ def test_transparent_pixels_of_scale_are_unknown_and_stay(tmp_path: Path) -> Non
     again = exported(tmp_path / "map.db", tmp_path / "again.yaml")
     assert_same(again, read_map(tmp_path / "map.yaml"))
     np.testing.assert_array_equal(again.opaque, opaque)
+
+
+def test_thresholds_that_leave_no_grey_for_unknown_come_back(tmp_path: Path) -> None:
+    """Of 255 greys 127 is 0.502 and 128 is 0.498; unknown is what is transparent, so the image is a PNG."""
+    opaque = np.ones(ALL.shape, bool)
+    opaque[0, 5:9] = False
+    ros_map = RosMap(Placement(0.1), Meaning("trinary", 0.501, 0.5), ALL, opaque)
+    write_map(ros_map, tmp_path / "map.yaml", tmp_path / "map.png", "map.png")
+    again = round_trip(tmp_path / "map.yaml", tmp_path)
+    assert_same(again, read_map(tmp_path / "map.yaml"))
+    np.testing.assert_array_equal(again.opaque, opaque)
+    part = exported(tmp_path / "map.db", tmp_path / "part.yaml", bounds=Bounds(-0.3, 0, 1.6, 1.6))
+    assert (part.occupancy[:, :3] == -1).all()  # beyond the map that was imported
+    np.testing.assert_array_equal(part.occupancy[:, 3:], again.occupancy)
+
+
+def test_greys_that_an_export_can_t_have_are_said(tmp_path: Path) -> None:
+    from PIL import Image
+
+    source = write_ros(tmp_path / "map.yaml", np.zeros((1, 2)))
+    Image.fromarray(np.array([[[0, 0, 90], [1, 1, 0]]], np.uint8)).save(tmp_path / "map.png")
+    source.write_text(source.read_text().replace("map.pgm", "map.png"))
+    (remark,) = import_map(source, tmp_path / "map.db")["remarks"]
+    assert remark == "colours or 16 bits became greys, 1 of 2 between two of 256: an export has the nearest"
+    assert exported(tmp_path / "map.db", tmp_path / "again.yaml").grey.tolist() == [[30, 1]]
 
 
 def test_sixteen_bits_and_colours_are_averaged(tmp_path: Path) -> None:
@@ -368,16 +394,30 @@ def changed(tmp_path: Path, **lines: Any) -> Path:
     ("lines", "says"),
     [
         ({"image": None}, r"map\.yaml: has no 'image:'.*add it"),
-        ({"image": "gone.pgm"}, r"map\.yaml: its image .*gone\.pgm is not there; put it there"),
+        ({"image": "gone.pgm"}, r"map\.yaml:\d+: its image .*gone\.pgm is not there; put it there"),
         ({"origin": None}, "has no 'origin:'"),
-        ({"origin": [1, 2]}, r"map\.yaml: origin \[1, 2\]: give \[x, y, yaw\]"),
+        ({"origin": [1, 2]}, r"map\.yaml:\d+: origin \[1, 2\]: give \[x, y, yaw\]"),
         ({"origin": [1, "here", 0]}, "origin 'here': give a number"),
-        ({"mode": "ternary"}, r"map\.yaml: mode 'ternary': there are trinary, scale, raw"),
-        ({"occupied_thresh": 0.1}, r"map\.yaml: free_thresh 0\.196 and occupied_thresh 0\.1: give 0 ≤ free_thresh"),
+        ({"mode": "ternary"}, r"map\.yaml:\d+: mode 'ternary': there are trinary, scale, raw"),
+        ({"occupied_thresh": 0.1}, r"map\.yaml:\d+: free_thresh 0\.196 and occupied_thresh 0\.1: give 0 ≤ free_thresh"),
         ({"free_thresh": float("nan")}, "free_thresh nan"),
-        ({"resolution": float("nan")}, r"map\.yaml: resolution nan: give a positive number"),
+        ({"resolution": float("nan")}, r"map\.yaml:\d+: resolution nan: give a positive number"),
         ({"resolution": 0}, "resolution 0.0: give a positive number"),
         ({"negate": 3}, "negate 3: give 0 or 1"),
+        ({"negate": [0]}, r"negate \[0\]: give 0 or 1"),
+        ({"image": 7}, "image 7: give the name of a file, in quotes"),
+        ({"image": ["a"]}, r"image \['a'\]: give the name"),
+        ({"image": "2001-99-99"}, "2001-99-99 is not there; put it"),
+        ({"image": "a" * 5000}, "is not there; put it there"),
+        ({"image": "."}, "is not there; put it there"),
+        ({"origin": [1e300, 0.0, 0.0]}, r"origin \[1e\+300, 0.0, 0.0\]: give finite numbers up to 1e\+09"),
+        ({"origin": [0.0, 0.0, float("inf")]}, "give finite numbers"),
+        ({"origin": [True, 0.0, 0.0]}, "origin True: give a number"),
+        ({"resolution": 10**400}, r"map\.yaml:\d+: 1000\d+… is too large"),
+        ({"resolution": 1e-300}, "resolution 1e-300: give a positive number"),
+        ({"resolution": True}, "resolution True: give a number"),
+        ({"mode": 5}, "mode '5': there are trinary"),
+        ({"more": json.loads("[" * 50 + "]" * 50)}, "nests deeper than"),
     ],
 )
 def test_bad_descriptions(lines: dict[str, Any], says: str, tmp_path: Path) -> None:
@@ -410,7 +450,7 @@ def test_damaged_images(content: bytes, tmp_path: Path) -> None:
 def test_what_is_no_yaml(tmp_path: Path) -> None:
     for content in ("a: [1", "just words", "- 1\n- 2\n", "\x00"):
         (tmp_path / "map.yaml").write_text(content)
-        with pytest.raises(InputError, match=r"map\.yaml: (is no YAML|holds no).*give the \.yaml of a ROS map"):
+        with pytest.raises(InputError, match=r"map\.yaml:(1: not YAML| holds no).*give the \.yaml of a ROS map"):
             import_map(tmp_path / "map.yaml", tmp_path / "map.db")
 
 

@@ -44,6 +44,15 @@ class Document:
         parts = tuple(map(str, path))
         return next((self.lines[parts[:n]] for n in range(len(parts), -1, -1) if parts[:n] in self.lines), 1)
 
+    def within(self, path: Sequence[Any]) -> Document:
+        """A part of it, as a document of its own with the lines of the whole."""
+        parts, value = tuple(map(str, path)), self.value
+        for step in path:
+            value = value[step]
+        depth = len(parts)
+        inside = {way[depth:]: line for way, line in self.lines.items() if way[:depth] == parts}
+        return Document(value, self.where, {(): self.line(path)} | inside)
+
     def error(self, path: Sequence[Any], message: str) -> InputError:
         """To raise: `file.yaml:12: message`, with the line of this path."""
         return InputError(f"{self.where}:{self.line(path)}: {message}")

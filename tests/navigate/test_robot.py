@@ -43,7 +43,7 @@ def test_what_is_left_out_is_the_default() -> None:
     [
         ("unknown: free\nradius_m: -1", "r.yaml:2: radius_m = -1: input should be greater than or equal to 0"),
         ("radius_m: '1'", "r.yaml:1: radius_m = '1': input should be a valid number"),
-        ("radius_m: yes", "radius_m = True: input should be a valid number"),
+        ("radius_m: true", "radius_m = True: input should be a valid number"),
         ("radius_m: .nan", "radius_m = nan: input should be a finite number"),
         ("radius_m:", "radius_m = None: input should be a valid number"),
         ("unknown: maybe", "unknown = 'maybe': input should be 'avoid', 'forbid' or 'free'"),
@@ -54,8 +54,12 @@ def test_what_is_left_out_is_the_default() -> None:
         ("radius_m: 1\nradius_m: 2", "r.yaml:2: 'radius_m' is given twice"),
         ("- radius_m", "r.yaml: holds no keys"),
         ("radius_m: [", "not YAML"),
-        ("[1]: 2", "not YAML"),
-        ("radius_m: 2001-99-99", "not YAML"),
+        ("[1]: 2", "r.yaml:1: not a key"),
+        ("radius_m: 2001-99-99", "r.yaml:1: radius_m = '2001-99-99': input should be a valid number"),
+        ("\nradius_m: [1, [2]]", "r.yaml:2: radius_m = [1, [2]]: input should be a valid number"),
+        ("radius_m: " + "[" * 5000, "r.yaml:1: nests deeper than"),
+        ("radius_m: " + "9" * 400, "r.yaml:1: 9999"),
+        ("1e1: 1", "r.yaml:1: there is no key '10.0'"),
     ],
 )
 def test_complaints_name_line_key_and_remedy(text: str, complaint: str) -> None:

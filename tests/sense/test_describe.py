@@ -112,7 +112,12 @@ BASE = "name: s\nmax_range_m: 10\n"
         ("reliability: 1.5", "my.yaml:3: reliability = 1.5: input should be less than or equal to 1"),
         ("no_return: maybe", "my.yaml:3: no_return = 'maybe': input should be 'clear' or 'ignore'"),
         ("sentinels_m: {5.0: maybe}", "my.yaml:3: sentinels_m.5.0 = 'maybe': input should be 'clear' or 'ignore'"),
-        ("sentinels_m: {.nan: clear}", "my.yaml:3: sentinels_m"),
+        ("sentinels_m: {.nan: clear}", "my.yaml:3: not a key"),
+        ("sentinels_m: {1.0: clear, 1.00: ignore}", "my.yaml:3: '1.00' is given twice; keep one"),
+        ("min_range_m: true", "my.yaml:3: min_range_m = True: input should be a valid number"),
+        ("ring: {count: true}", "my.yaml:3: ring.count = True: input should be a valid integer"),
+        ("mounting:\n  x_m: " + "[" * 5000, "my.yaml:4: nests deeper than 32 levels"),
+        ("1: 2", "my.yaml:3: 1: there is no such key"),
         ("sentinels_m: [5.0]", "my.yaml:3: sentinels_m = [5.0]: input should be a valid dictionary"),
         ("ring: {radius_m: 1}", "my.yaml:3: ring.count: is missing; add it"),
         ("ring: {count: 0}", "my.yaml:3: ring.count = 0: input should be greater than 0"),
@@ -151,10 +156,10 @@ def test_complaints(text: str, message: str) -> None:
         ("name: s", "my.yaml:1: max_range_m: is missing; add it"),
         ("name: s\n  max: [\n", "my.yaml:2: not YAML"),
         ("a: b: c", "my.yaml:1: not YAML"),
-        ("name: !!python/object:os.system x\nmax_range_m: 1", "my.yaml:1: not YAML"),
-        ("name: s\nmax_range_m: 2001-99-99", "my.yaml: not YAML"),
+        ("name: !!python/object:os.system x\nmax_range_m: 1", "my.yaml:1: the tag"),
+        ("name: s\nmax_range_m: 2001-99-99", "my.yaml:2: max_range_m = '2001-99-99': input should be a valid number"),
         ("\x00\x01", "my.yaml"),
-        ("a: &a {b: *a}", "my.yaml:1: name: is missing"),
+        ("a: &a {b: *a}", "my.yaml:1: the anchor &a"),
     ],
 )
 def test_what_is_no_description(text: str, message: str) -> None:
@@ -181,6 +186,8 @@ def test_files(tmp_path: Path) -> None:
         load_sensor(path)
     with pytest.raises(InputError, match="can't be read as text"):
         load_sensor(tmp_path)
+    with pytest.raises(InputError, match="neither a file nor a preset"):
+        load_sensor("a" * 5000)
 
 
 def test_the_content_tells_sensors_apart_and_is_json() -> None:

@@ -14,7 +14,7 @@ from terrafuse.errors import InputError
 from terrafuse.export.files import final
 from terrafuse.models.base import Layer
 from terrafuse.replica import Replica
-from terrafuse.rosmap.files import image_suffix, write_map
+from terrafuse.rosmap.files import image_line, image_suffix, write_map
 from terrafuse.rosmap.meaning import Meaning, percent, pixels
 from terrafuse.rosmap.memory import NOTE, recall
 from terrafuse.rosmap.types import Placement, RosMap
@@ -69,7 +69,7 @@ def _check_image(image: Path, target: Path) -> None:
     """Raise InputError where the image would replace a file that is not the image of the map that is replaced."""
     if image.exists():
         former = target.read_text(errors="replace") if target.is_file() else ""
-        if f"image: {image.name}\n" not in former:
+        if image_line(image.name) not in former:
             raise InputError(f"{image}: is there already, and belongs to no such map; choose another --out")
 
 

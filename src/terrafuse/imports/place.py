@@ -8,7 +8,7 @@ import numpy as np
 
 from terrafuse.errors import InputError
 from terrafuse.grids import Grid, bounds_in, covered, transformed, window_grid
-from terrafuse.lattice import MAX_TILE_CELLS, Lattice, default_tile_m
+from terrafuse.lattice import MAX_CELL, MAX_TILE_CELLS, Lattice, default_tile_m
 from terrafuse.types import Array
 
 TOLERANCE_CELLS = 1e-6
@@ -39,6 +39,8 @@ def lattice_for(resolution_m: float, tile_m: float | None = None, crs: str | Non
 def first_cell(east_m: float, north_m: float, lattice: Lattice, remedy: str) -> tuple[int, int]:
     """(i, j) of the cell whose south-western corner this is. Raises InputError where it is no corner of a cell."""
     exact = [coordinate * lattice.cells_per_m for coordinate in (east_m, north_m)]
+    if not all(abs(value) <= MAX_CELL for value in exact):
+        raise InputError(f"origin {east_m:.10g}, {north_m:.10g} lies beyond the lattice; is it in metres?")
     whole = [round(value) for value in exact]
     off_m = max(abs(value - near) for value, near in zip(exact, whole, strict=True)) * lattice.resolution_m
     if off_m > TOLERANCE_CELLS * lattice.resolution_m:

@@ -38,15 +38,26 @@ def take_ros_map(file: Path, wishes: Wishes) -> Contribution:
     frame = crs.canonical(wishes.crs) if wishes.crs else None
     lattice = lattice_for(resolution_m, wishes.tile_m, frame)
     model = make_model("occupancy", {"max_log_odds": SURE_LOG_ODDS})
-    remarks: tuple[str, ...] = ()
+    remarks = _greys_lost(ros_map)
     try:
         first, placed = _on_lattice(ros_map, lattice, wishes.resample)
     except InputError as error:
         raise InputError(f"{file}: {error}") from error
     if placed is not ros_map:
-        remarks = (f"resampled to cells of {resolution_m:g} m by nearest neighbours",)
+        remarks += (f"resampled to cells of {resolution_m:g} m by nearest neighbours",)
     notes = {NOTE: {"robot": wishes.robot, "cell": list(first), **remember(placed)}}
     return Contribution(lattice, model, _deltas(placed.probability, first, lattice, model, wishes), notes, remarks)
+
+
+def _greys_lost(ros_map: RosMap) -> tuple[str, ...]:
+    """What an export will not have again."""
+    grey = ros_map.grey
+    between = 0 if grey.dtype == np.uint8 else int((grey != np.rint(grey)).sum())
+    if not between:
+        return ()
+    return (
+        f"colours or 16 bits became greys, {between:,} of {grey.size:,} between two of 256: an export has the nearest",
+    )
 
 
 def _on_lattice(ros_map: RosMap, lattice: Lattice, resample: bool) -> tuple[tuple[int, int], RosMap]:

@@ -9,10 +9,11 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-import yaml
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
+from terrafuse import strict_yaml
 from terrafuse.errors import InputError
+from terrafuse.strict_yaml import Document, shown
 
 Number = Annotated[float, Field(strict=True)]
 """Yes and "1" are none."""
@@ -47,50 +48,34 @@ ADAPTER = TypeAdapter(Robot)
 
 def load_robot(path: Path | str) -> Robot:
     """The robot that a YAML file describes. Raises InputError that names file, line, key and remedy."""
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"robot {path}: can't be read as text ({error}); give a YAML file") from error
-    return read_robot(text, str(path))
+    return _robot(strict_yaml.load(path))
 
 
 def read_robot(text: str, where: str) -> Robot:
     """The robot that this YAML describes; `where` is what errors call it. Raises InputError."""
-    lines = _lines(text, where)
+    return _robot(strict_yaml.parse(text, where))
+
+
+def _robot(document: Document) -> Robot:
+    values = document.value if document.value is not None else {}
+    if not isinstance(values, dict):
+        raise InputError(f"{document.where}: holds no keys, but a robot is described by them: {_known()}")
+    for key in values:
+        if key not in (field.name for field in fields(Robot)):
+            raise document.error([key], f"there is no key '{shown(str(key))}'; known here: {_known()}")
     try:
-        return ADAPTER.validate_python(yaml.safe_load(text) or {})
-    except (ValidationError, yaml.YAMLError, ValueError) as error:
-        raise InputError(_complaint(error, where, lines)) from error
+        return ADAPTER.validate_python(values)
+    except ValidationError as error:
+        raise _complaint(error, document) from error
 
 
-def _lines(text: str, where: str) -> dict[str, int]:
-    """The line of each key. Raises InputError for what is no mapping, and for keys given twice."""
-    try:
-        tree = yaml.compose(text, Loader=yaml.SafeLoader)
-    except yaml.YAMLError as error:
-        raise InputError(_complaint(error, where, {})) from error
-    if tree is not None and not isinstance(tree, yaml.MappingNode):
-        raise InputError(f"{where}: holds no keys, but a robot is described by them: {_known()}")
-    lines: dict[str, int] = {}
-    for key, _ in tree.value if tree is not None else ():
-        if str(key.value) in lines:
-            raise InputError(f"{where}:{key.start_mark.line + 1}: '{key.value}' is given twice; keep one")
-        lines[str(key.value)] = key.start_mark.line + 1
-    return lines
-
-
-def _complaint(error: Exception, where: str, lines: dict[str, int]) -> str:
-    if not isinstance(error, ValidationError):
-        mark = getattr(error, "problem_mark", None)
-        line = f":{mark.line + 1}" if mark else ""
-        return f"{where}{line}: not YAML ({getattr(error, 'problem', None) or error}); see docs/planning.md"
+def _complaint(error: ValidationError, document: Document) -> InputError:
+    """The first fault."""
     first: Any = error.errors()[0]
-    key = str(first["loc"][0]) if first["loc"] else ""
-    place = f"{where}:{lines[key]}" if key in lines else where
-    if key not in (field.name for field in fields(Robot)):
-        return f"{place}: there is no key '{key}'; known here: {_known()}"
     message = str(first["msg"])
-    return f"{place}: {key} = {first['input']!r}: {message[0].lower()}{message[1:]}"
+    return document.error(
+        first["loc"][:1], f"{first['loc'][0]} = {shown(repr(first['input']))}: {message[0].lower()}{message[1:]}"
+    )
 
 
 def _known() -> str:

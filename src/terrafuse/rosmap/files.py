@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import math
+import re
+import warnings
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -10,11 +13,14 @@ from typing import Any
 import numpy as np
 import yaml
 
-from terrafuse.errors import InputError, MissingExtra
+from terrafuse import strict_yaml
+from terrafuse.errors import InputError, MissingExtra, TerrafuseError
 from terrafuse.rosmap.meaning import Meaning
 from terrafuse.rosmap.types import Placement, RosMap
+from terrafuse.strict_yaml import Document, shown
 from terrafuse.types import Array
 
+PLAIN_NAME = re.compile(r"[A-Za-z][\w.\-/]*\.[A-Za-z]\w*")
 REQUIRED = ("image", "resolution", "origin", "occupied_thresh", "free_thresh", "negate")
 
 
@@ -22,70 +28,73 @@ def read_map(path: Path | str) -> RosMap:
     """The map of a YAML file. Raises InputError that names the file, what is wrong, and the remedy."""
     file = Path(path)
     about = _description(file)
-    with _in_file(file):
-        placement, meaning = _placement(about), _meaning(about)
+    placement, meaning = _placement(about), _meaning(about)
     grey, opaque = read_image(_image_file(file, about))
     return RosMap(placement, meaning, grey, opaque)
 
 
-@contextmanager
-def _in_file(file: Path) -> Iterator[None]:
-    """Complaints about values, with the file that has them."""
+def _description(file: Path) -> Document:
     try:
-        yield
+        about = strict_yaml.load(file)
     except InputError as error:
-        raise InputError(f"{file}: {error}") from error
-
-
-def _description(file: Path) -> dict[str, Any]:
-    if not file.is_file():
-        raise InputError(f"{file}: no such file; give the .yaml of a ROS map")
-    try:
-        about = yaml.safe_load(file.read_text())
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f"{file}: is no YAML ({' '.join(str(error).split())}); give the .yaml of a ROS map") from error
-    if not isinstance(about, dict):
+        raise InputError(f"{error}; give the .yaml of a ROS map") from error
+    if not isinstance(about.value, dict):
         raise InputError(f"{file}: holds no 'key: value' lines; give the .yaml of a ROS map")
     for key in REQUIRED:
-        if about.get(key) is None:
+        if about.value.get(key) is None:
             raise InputError(f"{file}: has no '{key}:', which map_server needs; add it")
     return about
 
 
-def _placement(about: Mapping[str, Any]) -> Placement:
-    origin = about["origin"]
-    if not isinstance(origin, list) or len(origin) != 3:
-        raise InputError(f"origin {origin!r}: give [x, y, yaw]")
-    x, y, yaw = (_number("origin", value) for value in origin)
-    return Placement(_number("resolution", about["resolution"]), x, y, yaw)
-
-
-def _meaning(about: Mapping[str, Any]) -> Meaning:
-    return Meaning(
-        str(about.get("mode", "trinary")),
-        _number("occupied_thresh", about["occupied_thresh"]),
-        _number("free_thresh", about["free_thresh"]),
-        _truth("negate", about["negate"]),
-    )
-
-
-def _number(key: str, value: Any) -> float:
+@contextmanager
+def _at(about: Document, key: str) -> Iterator[None]:
+    """Complaints about the value of a key, with file and line."""
     try:
-        return float(value)  # YAML 1.1 takes 1e-2 for text
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{key} {value!r}: give a number") from error
+        yield
+    except InputError as error:
+        raise about.error([key], str(error)) from error
 
 
-def _truth(key: str, value: Any) -> bool:
-    if value not in (0, 1):
-        raise InputError(f"{key} {value!r}: give 0 or 1")
-    return bool(value)
+def _placement(about: Document) -> Placement:
+    origin = about.value["origin"]
+    if not isinstance(origin, list) or len(origin) != 3:
+        raise about.error(["origin"], f"origin {shown(repr(origin))}: give [x, y, yaw]")
+    resolution_m = _number(about, "resolution")
+    with _at(about, "resolution"):
+        Placement(resolution_m)
+    with _at(about, "origin"):
+        return Placement(resolution_m, *(_number(about, "origin", k) for k in range(3)))
 
 
-def _image_file(file: Path, about: Mapping[str, Any]) -> Path:
-    image = file.parent / str(about["image"])
-    if not image.is_file():
-        raise InputError(f"{file}: its image {image} is not there; put it there, or correct 'image:'")
+def _meaning(about: Document) -> Meaning:
+    mode, negate = about.value.get("mode", "trinary"), about.value["negate"]
+    with _at(about, "mode"):
+        Meaning(mode if isinstance(mode, str) else repr(mode))
+    if negate not in (0, 1):
+        raise about.error(["negate"], f"negate {shown(repr(negate))}: give 0 or 1")
+    occupied, free = _number(about, "occupied_thresh"), _number(about, "free_thresh")
+    with _at(about, "occupied_thresh"):
+        return Meaning(mode, occupied, free, bool(negate))
+
+
+def _number(about: Document, *path: str | int) -> float:
+    value = about.value[path[0]] if len(path) == 1 else about.value[path[0]][path[1]]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise about.error(path, f"{path[0]} {shown(repr(value))}: give a number")
+    return float(value)
+
+
+def _image_file(file: Path, about: Document) -> Path:
+    name = about.value["image"]
+    if not isinstance(name, str):
+        raise about.error(["image"], f"image {shown(repr(name))}: give the name of a file, in quotes")
+    image = file.parent / name
+    try:
+        there = image.is_file()
+    except OSError:  # too long a name
+        there = False
+    if not there:
+        raise about.error(["image"], f"its image {shown(str(image))} is not there; put it there, or correct 'image:'")
     return image
 
 
@@ -99,12 +108,15 @@ def read_image(file: Path) -> tuple[Array, Array | None]:
     except ImportError as error:
         raise MissingExtra("a map image", "pillow", "plot") from error
     try:
-        with Image.open(file) as image:
+        with warnings.catch_warnings(), Image.open(file) as image:
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # of those that it still takes
             image.load()
             return _channels(image)
+    except TerrafuseError:
+        raise
     except UnidentifiedImageError as error:
         raise InputError(f"{file}: is no image; ROS maps have PGM, PNG or BMP") from error
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+    except Exception as error:  # a decoder of Pillow's raises whatever damaged bytes lead it to
         raise InputError(f"{file}: can't be read ({error}); is it whole? Save the map again") from error
 
 
@@ -138,7 +150,7 @@ def description(ros_map: RosMap, image_name: str) -> str:
     """The YAML's text; floats in the shortest form that reads back as they are."""
     place, meaning = ros_map.placement, ros_map.meaning
     return (
-        f"image: {yaml.safe_dump(image_name, allow_unicode=True).splitlines()[0]}\n"
+        f"{image_line(image_name)}"
         f"mode: {meaning.mode}\n"
         f"resolution: {_text(place.resolution_m)}\n"
         f"origin: [{_text(place.east_m)}, {_text(place.north_m)}, {_text(place.yaw_rad)}]\n"
@@ -146,6 +158,14 @@ def description(ros_map: RosMap, image_name: str) -> str:
         f"occupied_thresh: {_text(meaning.occupied_thresh)}\n"
         f"free_thresh: {_text(meaning.free_thresh)}\n"
     )
+
+
+def image_line(name: str) -> str:
+    """The YAML's line for the image; plain where readers of YAML 1.1 and 1.2 take that for the same text."""
+    if PLAIN_NAME.fullmatch(name):
+        return f"image: {name}\n"
+    quoted = yaml.safe_dump(name, default_style='"', allow_unicode=True, width=math.inf)
+    return f"image: {quoted}"
 
 
 def _text(value: float) -> str:

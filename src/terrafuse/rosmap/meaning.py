@@ -55,17 +55,14 @@ class Meaning:
         return (255, 255 - free) if self.negate else (0, free)
 
     @property
-    def unknown_grey(self) -> int:
-        """The grey of unknown in trinary mode: 205, as map_saver writes it, or one that lies between the thresholds.
-        Raises InputError where none does."""
+    def unknown_grey(self) -> int | None:
+        """The grey of unknown in trinary mode: 205, as map_saver writes it, or one that lies between the thresholds;
+        None where none does: unknown then takes transparency."""
         whole = np.arange(256)
         occ = _occ(whole, self)
         between = whole[(occ > self.free_thresh) & (occ < self.occupied_thresh)]
         if not len(between):
-            raise InputError(
-                f"free_thresh {self.free_thresh} and occupied_thresh {self.occupied_thresh}: no grey of 8 bits lies "
-                "between them for unknown; set them further apart"
-            )
+            return None
         return UNKNOWN_GREY if UNKNOWN_GREY in between else int(between[len(between) // 2])
 
 
@@ -127,10 +124,13 @@ def _read_trinary(grey: Array, meaning: Meaning) -> Floats:
 
 def _write_trinary(values: Floats, meaning: Meaning) -> Floats:
     hundredths = percent(values)
-    occupied, free = hundredths >= _percent_of(meaning.occupied_thresh), hundredths <= _percent_of(meaning.free_thresh)
+    least, most = _percent_of(meaning.occupied_thresh), _percent_of(meaning.free_thresh)
+    # Thresholds of the same whole percent do not tell by it.
+    occupied = hundredths >= least if least > most else values >= meaning.occupied_thresh
+    free = ~occupied & (hundredths <= most)
     out = np.where(occupied, *map(float, meaning.sure_greys))
     unsure = ~(occupied | free)
-    if unsure.any():
+    if unsure.any():  # a whole percent lies between the thresholds, and so does one of 255 greys
         out[unsure] = meaning.unknown_grey
     return out
 

@@ -12,11 +12,15 @@ from terrafuse.grids import Grid
 from terrafuse.rosmap.meaning import Meaning, percent, probability
 from terrafuse.types import Array, Floats
 
+MIN_RESOLUTION_M, MAX_RESOLUTION_M = 1e-6, 1e6
+MAX_ORIGIN_M = 1e9
+"""Beyond all projected coordinates on Earth."""
+
 
 @dataclass(frozen=True)
 class Placement:
     """Where the image lies: `east_m`, `north_m` of its lower-left corner, and its turn about that corner,
-    counter-clockwise. Raises InputError for numbers that are not finite or a resolution that is not positive."""
+    counter-clockwise. Raises InputError for numbers that no place on Earth has."""
 
     resolution_m: float
     east_m: float = 0.0
@@ -24,11 +28,15 @@ class Placement:
     yaw_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.resolution_m) and self.resolution_m > 0):
-            raise InputError(f"resolution {self.resolution_m}: give a positive number of metres a pixel")
-        if not all(map(math.isfinite, (self.east_m, self.north_m, self.yaw_rad))):
+        if not MIN_RESOLUTION_M <= self.resolution_m <= MAX_RESOLUTION_M:
             raise InputError(
-                f"origin [{self.east_m}, {self.north_m}, {self.yaw_rad}]: give finite numbers, metres and radians"
+                f"resolution {self.resolution_m}: give a positive number of metres a pixel, "
+                f"{MIN_RESOLUTION_M:g} to {MAX_RESOLUTION_M:g}"
+            )
+        if not all(abs(value) <= MAX_ORIGIN_M for value in (self.east_m, self.north_m, self.yaw_rad)):
+            raise InputError(
+                f"origin [{self.east_m}, {self.north_m}, {self.yaw_rad}]: give finite numbers up to "
+                f"{MAX_ORIGIN_M:g}, metres and radians"
             )
 
 

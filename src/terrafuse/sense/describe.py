@@ -11,16 +11,19 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from terrafuse import strict_yaml
 from terrafuse.errors import InputError
 from terrafuse.sense.sensor import Beams, Mounting, Ring, Sensor
+from terrafuse.strict_yaml import Document, shown
 
 MAX_BEAMS = 10_000_000
 SUFFIX = ".yaml"
+Number = Annotated[float, Field(strict=True)]
+"""True and "1" are none."""
 
 
 class _Description(BaseModel):
@@ -65,15 +68,15 @@ def _check_elevations(elevations: Sequence[float]) -> None:
 
 
 class _Ring(_Description):
-    count: int = Field(gt=0, le=MAX_BEAMS)
-    first_deg: float | None = None
-    first_rad: float | None = None
-    step_deg: float | None = Field(None, gt=0)
-    step_rad: float | None = Field(None, gt=0)
+    count: int = Field(strict=True, gt=0, le=MAX_BEAMS)
+    first_deg: Number | None = None
+    first_rad: Number | None = None
+    step_deg: Number | None = Field(None, gt=0)
+    step_rad: Number | None = Field(None, gt=0)
     counting: Literal["clockwise", "anticlockwise"] = "anticlockwise"
-    radius_m: float = Field(0.0, ge=0)
-    elevations_deg: tuple[float, ...] | None = Field(None, min_length=1)
-    elevations_rad: tuple[float, ...] | None = Field(None, min_length=1)
+    radius_m: Number = Field(0.0, ge=0)
+    elevations_deg: tuple[Number, ...] | None = Field(None, min_length=1)
+    elevations_rad: tuple[Number, ...] | None = Field(None, min_length=1)
 
     def value(self) -> Ring:
         step = self.rad("step", math.tau / self.count)
@@ -89,11 +92,11 @@ class _Ring(_Description):
 
 
 class _Beams(_Description):
-    azimuths_deg: tuple[float, ...] | None = Field(None, min_length=1)
-    azimuths_rad: tuple[float, ...] | None = Field(None, min_length=1)
-    elevations_deg: tuple[float, ...] | None = None
-    elevations_rad: tuple[float, ...] | None = None
-    radius_m: float = Field(0.0, ge=0)
+    azimuths_deg: tuple[Number, ...] | None = Field(None, min_length=1)
+    azimuths_rad: tuple[Number, ...] | None = Field(None, min_length=1)
+    elevations_deg: tuple[Number, ...] | None = None
+    elevations_rad: tuple[Number, ...] | None = None
+    radius_m: Number = Field(0.0, ge=0)
 
     def value(self) -> Beams:
         azimuths = self.rads("azimuths", ())
@@ -107,15 +110,15 @@ class _Beams(_Description):
 
 
 class _Mounting(_Description):
-    x_m: float = 0.0
-    y_m: float = 0.0
-    z_m: float = 0.0
-    roll_deg: float | None = None
-    roll_rad: float | None = None
-    pitch_deg: float | None = None
-    pitch_rad: float | None = None
-    yaw_deg: float | None = None
-    yaw_rad: float | None = None
+    x_m: Number = 0.0
+    y_m: Number = 0.0
+    z_m: Number = 0.0
+    roll_deg: Number | None = None
+    roll_rad: Number | None = None
+    pitch_deg: Number | None = None
+    pitch_rad: Number | None = None
+    yaw_deg: Number | None = None
+    yaw_rad: Number | None = None
 
     def value(self) -> Mounting:
         return Mounting(self.x_m, self.y_m, self.z_m, self.rad("roll"), self.rad("pitch"), self.rad("yaw"))
@@ -123,19 +126,19 @@ class _Mounting(_Description):
 
 class _Sensor(_Description):
     name: str = Field(min_length=1, max_length=200)
-    max_range_m: float = Field(gt=0)
-    min_range_m: float = Field(0.0, ge=0)
+    max_range_m: Number = Field(gt=0)
+    min_range_m: Number = Field(0.0, ge=0)
     no_return: Literal["clear", "ignore"] = "ignore"
-    sentinels_m: dict[float, Literal["clear", "ignore"]] = Field(default_factory=dict)
+    sentinels_m: dict[Number, Literal["clear", "ignore"]] = Field(default_factory=dict)
     ring: _Ring | None = None
     beams: _Beams | None = None
-    origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    cone_half_angle_deg: float | None = Field(None, ge=0)
-    cone_half_angle_rad: float | None = Field(None, ge=0)
-    range_error_m: float = Field(0.0, ge=0)
-    noise_sigma_m: float = Field(0.0, ge=0)
-    reliability: float = Field(1.0, gt=0, le=1)
-    firing_period_s: float = Field(0.0, ge=0)
+    origin_m: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
+    cone_half_angle_deg: Number | None = Field(None, ge=0)
+    cone_half_angle_rad: Number | None = Field(None, ge=0)
+    range_error_m: Number = Field(0.0, ge=0)
+    noise_sigma_m: Number = Field(0.0, ge=0)
+    reliability: Number = Field(1.0, gt=0, le=1)
+    firing_period_s: Number = Field(0.0, ge=0)
     mounting: _Mounting = Field(default_factory=_Mounting)
 
     def value(self) -> Sensor:
@@ -177,34 +180,34 @@ def load_sensor(given: str | Path) -> Sensor:
     if str(given) in preset_names():
         file = resources.files("terrafuse.sense") / "presets" / f"{given}{SUFFIX}"
         return read_sensor(file.read_text(encoding="utf-8"), f"{given}{SUFFIX}")
-    path = Path(given)
-    if not path.exists():
+    if not _exists(given):
         raise InputError(
-            f"sensor '{given}': neither a file nor a preset; give a YAML file, or one of {', '.join(preset_names())}"
+            f"sensor '{shown(str(given))}': neither a file nor a preset; "
+            f"give a YAML file, or one of {', '.join(preset_names())}"
         )
+    return described(strict_yaml.load(given))
+
+
+def _exists(path: str | Path) -> bool:
     try:
-        return read_sensor(path.read_text(encoding="utf-8"), str(path))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: can't be read as text ({error}); give a YAML file") from error
+        return Path(path).exists()
+    except (OSError, ValueError):  # too long a name for a file, or none
+        return False
 
 
 def read_sensor(text: str, where: str) -> Sensor:
     """The sensor that this YAML describes; `where` is what errors call it. Raises InputError."""
+    return described(strict_yaml.parse(text, where))
+
+
+def described(document: Document) -> Sensor:
+    """The sensor of a document that is read already. Raises InputError."""
+    if not isinstance(document.value, dict):
+        raise InputError(f"{document.where}: holds no keys, but a sensor is described by them: name, max_range_m, …")
     try:
-        tree = yaml.compose(text, Loader=yaml.SafeLoader)
-        values = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError) as error:  # safe_load lets the ValueError of 2001-99-99 through
-        mark = getattr(error, "problem_mark", None)
-        line = f":{mark.line + 1}" if mark else ""
-        problem = getattr(error, "problem", None) or str(error)
-        raise InputError(f"{where}{line}: not YAML ({problem}); give keys as in docs/sensors.md") from error
-    if not isinstance(values, dict):
-        raise InputError(f"{where}: holds no keys, but a sensor is described by them: name, max_range_m, …")
-    _refuse_repeats(tree, where)
-    try:
-        return _Sensor.model_validate(values).value()
+        return _Sensor.model_validate(document.value).value()
     except ValidationError as error:
-        raise InputError(_complaint(error, tree, where)) from error
+        raise _complaint(error, document) from error
 
 
 def content(sensor: Sensor) -> dict[str, Any]:
@@ -212,20 +215,19 @@ def content(sensor: Sensor) -> dict[str, Any]:
     return dict(json.loads(json.dumps(asdict(sensor))))
 
 
-def _complaint(error: ValidationError, tree: Any, where: str) -> str:
-    """The first fault in one line: file, line, key, value, remedy."""
+def _complaint(error: ValidationError, document: Document) -> InputError:
+    """The first fault: file, line, key, value, remedy."""
     first = error.errors()[0]
     keys = [key for key in first["loc"] if key != "[key]"]
-    place = f"{where}:{_line(tree, keys)}: " + (".".join(map(str, keys)) or "the description")
-    if first["type"] == "extra_forbidden":
-        known = ", ".join(_known_keys(keys[:-1]))
-        return f"{place}: there is no such key; known here: {known}"
+    name = shown(".".join(map(str, keys)))
+    if first["type"] in ("extra_forbidden", "invalid_key"):
+        return document.error(keys, f"{name}: there is no such key; known here: {', '.join(_known_keys(keys[:-1]))}")
     if first["type"] == "missing":
-        return f"{place}: is missing; add it"
+        return document.error(keys, f"{name}: is missing; add it")
     message = str(first.get("ctx", {}).get("error", first["msg"]))
     if not keys:
-        return f"{where}: {message}"
-    return f"{place} = {first['input']!r}: {message[0].lower()}{message[1:]}"
+        return InputError(f"{document.where}: {message}")
+    return document.error(keys, f"{name} = {shown(repr(first['input']))}: {message[0].lower()}{message[1:]}")
 
 
 def _known_keys(path: list[Any]) -> list[str]:
@@ -233,34 +235,3 @@ def _known_keys(path: list[Any]) -> list[str]:
     for key in path:
         model = {"ring": _Ring, "beams": _Beams, "mounting": _Mounting}.get(str(key), model)
     return list(model.model_fields)
-
-
-def _line(node: Any, keys: Sequence[Any]) -> int:
-    """The line of the deepest of these keys that the file has."""
-    line = int(node.start_mark.line) + 1
-    for key in keys:
-        if isinstance(node, yaml.MappingNode):
-            found = [(k, v) for k, v in node.value if _same(k, key)]
-        elif isinstance(node, yaml.SequenceNode) and isinstance(key, int) and key < len(node.value):
-            found = [(node.value[key], node.value[key])]
-        else:
-            found = []
-        if not found:
-            return line
-        line, node = int(found[0][0].start_mark.line) + 1, found[0][1]
-    return line
-
-
-def _same(node: Any, key: Any) -> bool:
-    """Whether a key of the file is the one that a complaint is about; numbers may be written in several ways."""
-    return bool(node.value == str(key) or yaml.safe_load(node.value) == key) if node.id == "scalar" else False
-
-
-def _refuse_repeats(tree: Any, where: str) -> None:
-    """A key given twice: YAML would take the last one and say nothing."""
-    parts = [value for _, value in tree.value if isinstance(value, yaml.MappingNode)]
-    for part in (tree, *parts):
-        keys = [key for key, _ in part.value]
-        for number, key in enumerate(keys):
-            if any(key.value == earlier.value for earlier in keys[:number]):
-                raise InputError(f"{where}:{key.start_mark.line + 1}: '{key.value}' is given twice; keep one")

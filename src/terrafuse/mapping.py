@@ -13,6 +13,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,12 +25,12 @@ from terrafuse.config import MapSettings
 from terrafuse.errors import InputError, OutputError, StoreMismatch
 from terrafuse.lattice import Lattice, default_tile_m
 from terrafuse.logs import open_log
-from terrafuse.logs.base import Log, Record, parse_source
+from terrafuse.logs.base import Log, Record, Source, parse_source
 from terrafuse.mapper import Mapper
 from terrafuse.models import make_model
 from terrafuse.models.base import Model
 from terrafuse.prior import ROBOT, Prior, check_model, open_prior
-from terrafuse.sense import Sensor, applied, load_sensor, undescribed
+from terrafuse.sense import Sensor, applied, check_aim, load_sensor, undescribed
 from terrafuse.sense.describe import content
 from terrafuse.store.behind import WriteBehind
 from terrafuse.store.sqlite import SqliteStore, remove_store
@@ -118,25 +119,47 @@ def plan(sources: Mapping[str, str], settings: MapSettings) -> Plan:
     lattice.coarser(settings.global_factor)
     model = make_model(settings.model, settings.model_settings)
     make_window(settings.window, lattice)
-    parsed = {name: parse_source(text) for name, text in sources.items()}
+    sensors = _sensors(settings.sensors)
+    parsed = {name: _source(text, sensors.get(name)) for name, text in sources.items()}
     logs = {name: open_log(source) for name, source in parsed.items()}
     _check_frames(logs, settings)
-    sensors = _sensors(settings.sensors, logs)
+    for name, sensor in sensors.items():
+        _check_sensor(name, logs[name], sensor)
     prior = _prior(settings.prior, model, logs)
     stated = {f"{name} ({log.path})": log.crs for name, log in logs.items()}
     options = {name: source.options for name, source in parsed.items()}
     return Plan(logs, options, settings, replace(lattice, crs=crs.common(settings.crs, stated)), model, sensors, prior)
 
 
-def _sensors(described: Mapping[str, str], logs: Mapping[str, Log]) -> dict[str, Sensor]:
-    for name in described:
-        if logs[name].georeferenced:
-            raise InputError(
-                f"{name}: {logs[name].path} holds points in the map's frame, not a sensor's readings; "
-                "say whose sensor is described: --sensor NAME=…"
-            )
+def _sensors(described: Mapping[str, str]) -> dict[str, Sensor]:
     loaded = {text: load_sensor(text) for text in set(described.values())}
     return {name: loaded[text] for name, text in sorted(described.items())}
+
+
+def _source(text: str, sensor: Sensor | None) -> Source:
+    return parse_source(text, aimed=sensor is not None and sensor.beams is not None)
+
+
+def _check_sensor(name: str, log: Log, sensor: Sensor) -> None:
+    """That the log can be of such a sensor, as far as its first scan tells."""
+    if log.georeferenced:
+        raise InputError(
+            f"{name}: {log.path} holds points in the map's frame, not a sensor's readings; "
+            "say whose sensor is described: --sensor NAME=…"
+        )
+    first = None if sensor.beams is None else next((r for r in log.scans() if isinstance(r, Scan)), None)
+    if first is not None and first.readings is not None:
+        with _of_log(name, log):
+            check_aim(sensor, first.readings)
+
+
+@contextmanager
+def _of_log(name: str, log: Log) -> Iterator[None]:
+    """What is wrong between a description and a scan is said of the log."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{name}: {log.path}: {error}") from error
 
 
 def _prior(texts: Sequence[str], model: Model, logs: Mapping[str, Log]) -> Prior | None:
@@ -240,14 +263,16 @@ def _integrate_all(
             return
         if isinstance(record, Scan):
             placed = _placed(record, log, run.settings)
-            scan = applied(sensor, placed) if sensor else undescribed(placed)
+            with _of_log(mapper.robot, log):
+                scan = applied(sensor, placed) if sensor else undescribed(placed)
+            points = len(record.points) or len(scan.points)  # a log of bare ranges has none before they are aimed
             here = scan.T_world_sensor.position
             report.distance_m += float(np.linalg.norm(here - position)) if position is not None else 0.0
             position = here
             report.scans += 1
-            report.points += len(record.points)
+            report.points += points
             if report.scans <= report.resumed_scans:
-                report.resumed_points += len(record.points)
+                report.resumed_points += points
             else:
                 done = mapper.integrate(scan)
                 report.touched_cells += done.cells

@@ -173,6 +173,21 @@ class NoReturns:
 
 
 @dataclass(frozen=True, eq=False)
+class Readings:
+    """What each of a scan's N beams read, in the log's order: only with these can a description re-aim the beams.
+
+    `ranges_m`: (N,), as they stand in the log; `returned`: (N,), which of them the log calls returns; `directions`:
+    (N, 3), unit, in the sensor's frame, where the log itself states them; `clear_m`: up to where a beam met nothing
+    whose reading is +inf.
+    """
+
+    ranges_m: Floats
+    returned: Array
+    directions: Floats | None = None
+    clear_m: float = float("inf")
+
+
+@dataclass(frozen=True, eq=False)
 class Scan:
     """What one sensor saw at one instant.
 
@@ -191,6 +206,8 @@ class Scan:
     origins: Array | None = None
     beam: Beam = RAY
     no_returns: NoReturns | None = None
+    readings: Readings | None = None
+    """Beside the points, where the log has a reading for each beam."""
     dropped: Mapping[str, int] = field(default_factory=dict)
     """Readings that were left out before models see the scan, by reason."""
 

@@ -123,7 +123,7 @@ def test_points_in_the_maps_frame_have_no_sensor(tmp_path: Path) -> None:
 def test_silent_beams_of_a_log_are_counted(tmp_path: Path) -> None:
     """180 beams, 10 of them silent, in each of 3 scans: counted; and cleared ways where the sensor says so."""
     ranges = " ".join(["3.0"] * 170 + ["81.83"] * 10)
-    lines = [f"FLASER 180 {ranges} 0 0 0 0 0 0 {stamp} host 1" for stamp in (1, 2, 3)]
+    lines = [f"FLASER 180 {ranges} 0.1 0.1 0 0 0 0 {stamp} host 1" for stamp in (1, 2, 3)]
     log = described(tmp_path, "\n".join(lines) + "\n", "a.log")
     clear = described(tmp_path, "name: c\nmax_range_m: 30\nno_return: clear\n")
     undescribed = run({"r1": log}, tmp_path / "a").json
@@ -132,3 +132,57 @@ def test_silent_beams_of_a_log_are_counted(tmp_path: Path) -> None:
     assert undescribed["robots"]["r1"]["dropped"] == preset["robots"]["r1"]["dropped"] == {"no return": 30}
     assert cleared["robots"]["r1"]["dropped"] == {}
     assert undescribed["map"]["digest"] == preset["map"]["digest"] == cleared["map"]["digest"]  # heights are the same
+
+
+RING = "name: four\nmax_range_m: 3\nno_return: clear\nring: {count: 4, radius_m: 0.1}\ncone_half_angle_deg: 12\n"
+
+
+def table(folder: Path) -> Path:
+    """A robot of four sonars drives ahead along a wall, 1.05 m to its left."""
+    lines = [f"{k},{0.1 * k:.1f},0,0,inf,0.95,3.5,inf" for k in range(20)]
+    return described(folder, "stamp_s,x_m,y_m,yaw_rad,r0_m,r1_m,r2_m,r3_m\n" + "\n".join(lines), "ring.csv")
+
+
+@pytest.mark.parametrize(("model", "layer"), [("occupancy", "occupancy"), ("grey", "white")])
+def test_a_table_of_a_sonars_ring(tmp_path: Path, model: str, layer: str) -> None:
+    ring = described(tmp_path, RING + "range_error_m: 0.05\n")
+    ran = run({"r1": table(tmp_path)}, tmp_path / "out", "--model", model, "--sensor", ring, "--resolution", "0.1")
+    assert ran.code == 0, ran.err
+    assert ran.json["robots"]["r1"]["points"] == 20
+    npz = tmp_path / "map.npz"
+    assert terrafuse("export", tmp_path / "out/map.db", "--out", npz, "--bounds", "0,0,2,2").code == 0
+    with np.load(npz) as arrays:
+        (column,) = np.flatnonzero(np.isclose(arrays["x"], 1.05))
+        value = dict(zip(arrays["y"].round(2).tolist(), arrays[layer][:, column].tolist(), strict=True))
+    assert value[0.55] < 0.5 < value[1.05]  # before the wall, and on it
+    assert np.isnan(value[1.55])
+
+
+def test_a_ring_of_another_number_than_the_log(tmp_path: Path) -> None:
+    """Said before anything is written, with the log's name and both numbers."""
+    logs = {"r1": table(tmp_path)}
+    ran = run(logs, tmp_path / "out", "--model", "occupancy", "--sensor", "nomad_200_sonar")
+    assert ran.code == 2
+    assert f"r1: {logs['r1']}: the log has 4 beams, the sensor nomad_200_sonar has 16" in ran.json["error"]
+    assert not (tmp_path / "out").exists()
+    none = run(logs, tmp_path / "out", "--model", "occupancy")
+    assert (none.code, "nothing says where they look" in none.json["error"]) == (2, True)
+
+
+def test_a_number_that_changes_within_a_log(tmp_path: Path) -> None:
+    lines = [f"FLASER {n} {' '.join(['2.0'] * n)} 0 0 0 0 0 0 {n} host 1" for n in (180, 181)]
+    log = described(tmp_path, "\n".join(lines) + "\n", "a.log")
+    ran = run({"r1": log}, tmp_path / "out", "--sensor", "sick_lms_180")
+    assert ran.code == 2
+    assert "a.log: the log has 181 beams, the sensor sick_lms_180 has 180" in ran.json["error"]
+
+
+def test_a_described_ring_needs_no_field_of_view(tmp_path: Path) -> None:
+    """Four beams of an FLASER line, a quarter turn each: 2.2 m ahead, left, behind and right."""
+    log = described(tmp_path, "FLASER 4 2.2 2.2 2.2 2.2 0 0 0 0 0 0 1 host 1\n", "a.log")
+    ring = described(tmp_path, "name: four\nmax_range_m: 30\nring: {count: 4}\n")
+    assert "?fov_deg=" in run({"r1": log}, tmp_path / "out").json["error"]
+    facts = run({"r1": log}, tmp_path / "out", "--sensor", ring).json
+    assert facts["bounds"] == [-2.5, -2.5, 2.5, 2.5]  # cells of 0.5 m that hold ±2.2
+    stated = run({"r1": f"{log}?fov_deg=180"}, tmp_path / "two", "--sensor", ring)
+    assert "beam 0 looks to -90.00° in the log, to 0.00° by the sensor four" in stated.json["error"]

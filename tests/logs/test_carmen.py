@@ -9,6 +9,7 @@ import pytest
 
 from terrafuse.errors import LogError, PoseError
 from terrafuse.logs import open_log
+from terrafuse.logs.base import parse_source
 from terrafuse.logs.carmen import flaser_angles
 from terrafuse.types import Skipped
 
@@ -61,6 +62,22 @@ def test_another_number_of_beams_needs_the_field_of_view(tmp_path: Path) -> None
     refuses(str(path), f"{path}:3: 3 beams, and an FLASER line does not state", "180, 181, 360, 361", "?fov_deg=")
     (scan,) = scans(f"{path}?fov_deg=180")
     assert np.allclose(scan.points, [[0, -1, 0], [2, 0, 0], [0, 3, 0]], atol=1e-12)
+
+
+def test_described_beams_need_no_field_of_view(tmp_path: Path) -> None:
+    """Readings are there; whose angles are known from a table is not stated, a field of view that is given is."""
+    path = write(tmp_path, flaser("1", [1.0, 81.83, 3.0]))
+    (scan,) = open_log(parse_source(str(path), aimed=True)).scans()
+    assert scan.readings.ranges_m.tolist() == [1.0, 81.83, 3.0]
+    assert scan.readings.returned.tolist() == [True, False, True]
+    assert (scan.readings.directions, len(scan.points)) == (None, 0)
+    (scan,) = open_log(parse_source(f"{path}?fov_deg=180", aimed=True)).scans()
+    assert np.allclose(scan.readings.directions, [[0, -1, 0], [1, 0, 0], [0, 1, 0]], atol=1e-12)
+    (scan,) = scans(str(write(tmp_path, flaser("1", [1.0] * 180))))
+    assert scan.readings.directions is None
+    (scan,) = scans(str(write(tmp_path, robotlaser("1", [1.0, 20.0]))))
+    assert np.allclose(scan.readings.directions[1], [np.cos(-0.5), np.sin(-0.5), 0])
+    assert scan.readings.returned.tolist() == [True, False]
 
 
 def test_no_return_is_left_out(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from tests.program import record
 
 from .support import some_points, write_tum
 from .test_carmen import flaser, write
+from .test_ranges import write as write_ranges
 
 
 class TestCarmen(ReaderTests):
@@ -23,6 +24,19 @@ class TestCarmen(ReaderTests):
     @pytest.fixture
     def sample(self, tmp_path: Path) -> Path:
         return write(tmp_path, *(flaser(f"97605285{k}.5", [3.0 + k] * 180) for k in range(5)))
+
+
+class TestRanges(ReaderTests):
+    aimed = True
+
+    @pytest.fixture
+    def reader(self) -> Reader:
+        return READERS["ranges"]
+
+    @pytest.fixture
+    def sample(self, tmp_path: Path) -> Path:
+        lines = [f"{k}.5,{k},0,0.1,{3.0 + k},{4.0 + k}" for k in range(5)]
+        return write_ranges(tmp_path, "stamp_s,x_m,y_m,yaw_rad,r0_m,r1_m", *lines)
 
 
 class TestMcap(ReaderTests):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from terrafuse.logs import open_log
+from terrafuse.logs import Source, open_log
 from terrafuse.sense import applied, load_sensor, scan_of, undescribed
 from terrafuse.types import Array, Pose, Scan
 
@@ -63,6 +63,21 @@ def test_the_scitos_follows_its_wall_on_the_left(sonar_rows: Array) -> None:
     assert (nearest[:, 1] > 0).mean() > 0.9
 
 
+def test_the_scitos_ring_from_a_table(sonar_rows: Array, tmp_path: Path) -> None:
+    """Its readings as a log; the poses are made up, as the recording has none."""
+    path = tmp_path / "scitos.csv"
+    header = "stamp_s,x_m,y_m,yaw_rad," + ",".join(f"r{k}_m" for k in range(24))
+    rows = [f"{k / 9:.9f},{k / 100},0,0," + ",".join(map(str, row)) for k, row in enumerate(sonar_rows[:200])]
+    path.write_text("\n".join([header, *rows]))
+    sensor = load_sensor("scitos_g5_sonar")
+    for row, scan in zip(sonar_rows, open_log(Source(path, aimed=True)).scans(), strict=False):
+        assert isinstance(scan, Scan)
+        out, direct = applied(sensor, scan), scan_of(sensor, row, 0, scan.T_world_sensor)
+        assert np.array_equal(out.points, direct.points)
+        assert np.array_equal(out.misses, direct.misses)
+        assert len(out.points) + len(out.misses) == 24
+
+
 @pytest.mark.parametrize(
     ("log", "preset"),
     [
@@ -80,7 +95,7 @@ def test_carmen_logs_give_the_same_points(recordings: Path, log: str, preset: st
     dropped = 0
     for scan in scans(f"{recordings / 'lidar2d' / log}?stamps=index&rate_hz=5", 200):
         out = applied(sensor, scan)
-        assert np.array_equal(out.points, scan.points)
+        np.testing.assert_allclose(out.points, scan.points, rtol=0, atol=1e-13)  # by the preset's angles
         assert np.array_equal(out.T_world_sensor.matrix, scan.T_world_sensor.matrix)
         assert out.dropped == undescribed(scan).dropped
         assert len(out.points) + out.dropped.get("no return", 0) == count

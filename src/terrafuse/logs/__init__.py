@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from terrafuse.errors import LogError
-from terrafuse.logs import av2, carmen, clouds, kitti, las, ros
+from terrafuse.logs import av2, carmen, clouds, kitti, las, ranges, ros
 from terrafuse.logs.base import Log, Reader, Record, Source, parse_source
 from terrafuse.logs.guard import BACKWARDS, damage_as_log_error, guarded
 from terrafuse.logs.options import choice, listed
@@ -13,7 +13,8 @@ from terrafuse.logs.options import choice, listed
 __all__ = ["COMMON_OPTIONS", "READERS", "Log", "Reader", "Record", "Source", "open_log", "parse_source"]
 
 READERS: dict[str, Reader] = {
-    reader.name: reader for reader in (ros.READER, av2.READER, kitti.READER, carmen.READER, las.READER, clouds.READER)
+    reader.name: reader
+    for reader in (ros.READER, av2.READER, kitti.READER, carmen.READER, las.READER, ranges.READER, clouds.READER)
 }
 """In the order in which they are asked: `clouds` takes nearly any folder, so it comes last."""
 

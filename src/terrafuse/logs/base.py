@@ -18,6 +18,9 @@ class Source:
 
     path: Path
     options: Mapping[str, str] = field(default_factory=dict)
+    aimed: bool = False
+    """Whether somebody else says where the beams look, by what scans have as `readings`: logs that do not state it
+    are then taken, their scans without points."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ class Reader:
     options: Mapping[str, str] = field(default_factory=dict)
 
 
-def parse_source(text: str) -> Source:
+def parse_source(text: str, aimed: bool = False) -> Source:
     """`PATH?key=value&key=value` → Source. A path that exists as written may contain `?`."""
     path, options = split_query(text)
-    return Source(Path(path), options)
+    return Source(Path(path), options, aimed)

@@ -27,7 +27,7 @@ from terrafuse.errors import LogError, PoseError
 from terrafuse.logs.base import Log, Reader, Record, Source
 from terrafuse.logs.options import NS, choice, listed, positive
 from terrafuse.logs.stamps import seconds_to_ns
-from terrafuse.types import Floats, NoReturns, Pose, Scan, Stamp
+from terrafuse.types import Floats, NoReturns, Pose, Readings, Scan, Stamp
 
 SUFFIXES = (".log", ".clf", ".log.gz", ".clf.gz", ".log.bz2", ".clf.bz2")
 KEYWORDS = ("FLASER", "ROBOTLASER1", "ODOM", "PARAM", "RAWLASER1", "# CARMEN", "# message")
@@ -52,6 +52,23 @@ class Line:
         return self.words[0]
 
 
+@dataclass(frozen=True)
+class Beams:
+    """What a scan line says of its beams. `angles_rad`: (N,), None where nothing tells them; `stated`: whether the line
+    or the user does, instead of the table of usual lasers."""
+
+    ranges_m: Floats
+    angles_rad: Floats | None
+    stated: bool
+    max_range_m: float
+
+    @property
+    def directions(self) -> Floats | None:
+        if self.angles_rad is None:
+            return None
+        return np.stack([np.cos(self.angles_rad), np.sin(self.angles_rad), np.zeros(len(self.angles_rad))], axis=1)
+
+
 def matches(path: Path) -> bool:
     if not (path.is_file() and path.name.lower().endswith(SUFFIXES)):
         return False
@@ -73,45 +90,48 @@ def open_carmen(source: Source) -> Log:
 
     def scans() -> Iterator[Record]:
         for stamp_ns, line in zip(stamps, _lines(source.path, message), strict=True):
-            yield read_scan(line, stamp_ns, limit_m, fov_rad)
+            yield read_scan(line, stamp_ns, limit_m, fov_rad, source.aimed)
 
     return Log(source.path, READER.name, scans=scans, count=len(stamps))
 
 
-def read_scan(line: Line, stamp_ns: Stamp, limit_m: float, fov_rad: float | None) -> Scan:
+def read_scan(line: Line, stamp_ns: Stamp, limit_m: float, fov_rad: float | None, aimed: bool) -> Scan:
     """The scan of one line: points at z = 0 in the laser's frame, x forward, y left.
 
     Readings that are 0, NaN, or at least `limit_m` or the line's own maximum are `no_returns`. They say nothing by
-    themselves: in the public logs they come from glass and dark surfaces as well as from empty space.
+    themselves: in the public logs they come from glass and dark surfaces as well as from empty space. A line whose
+    angles nothing tells has readings only, if it is `aimed` by others.
     """
     try:
-        ranges, angles, max_m, pose = _fields(line, fov_rad)
+        beams, pose = _fields(line, fov_rad, aimed)
     except (ValueError, IndexError) as error:
         raise LogError(f"{line.place}: not a whole {line.message} line ({error}); remove or repair it") from None
-    seen = (ranges > 0) & (ranges < min(limit_m, max_m))  # NaN compares false
-    directions = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))], axis=1)
-    points = ranges[seen, None] * directions[seen]
-    return Scan(stamp_ns, points, _pose(pose, line), no_returns=NoReturns(directions[~seen], ranges[~seen]))
+    ranges, directions = beams.ranges_m, beams.directions
+    seen = (ranges > 0) & (ranges < min(limit_m, beams.max_range_m))  # NaN compares false
+    readings = Readings(ranges, seen, directions if beams.stated else None)
+    if directions is None:
+        return Scan(stamp_ns, np.empty((0, 3)), _pose(pose, line), readings=readings)
+    silent = NoReturns(directions[~seen], ranges[~seen])
+    return Scan(
+        stamp_ns, ranges[seen, None] * directions[seen], _pose(pose, line), no_returns=silent, readings=readings
+    )
 
 
-def _fields(line: Line, fov_rad: float | None) -> tuple[Floats, Floats, float, Floats]:
-    """Ranges, angles, the stated maximum range and x y theta."""
+def _fields(line: Line, fov_rad: float | None, aimed: bool) -> tuple[Beams, Floats]:
+    """The beams, and x y theta."""
     words = line.words
     if line.message == "FLASER":
         n = int(words[1])
         _check_length(words, 2 + n + 9)
-        return (
-            _floats(words[2 : 2 + n]),
-            flaser_angles(n, line.place, fov_rad),
-            math.inf,
-            _floats(words[2 + n : 5 + n]),
-        )
+        unknown = aimed and fov_rad is None and n not in BEAM_STEP_DEG
+        angles = None if unknown else flaser_angles(n, line.place, fov_rad)
+        return Beams(_floats(words[2 : 2 + n]), angles, fov_rad is not None, math.inf), _floats(words[2 + n : 5 + n])
     start, _, step, max_m = map(float, words[2:6])
     n = int(words[8])
     after = 9 + n + 1 + int(words[9 + n])
     _check_length(words, after + 14)
     angles = np.asarray(start + step * np.arange(n), np.float64)
-    return _floats(words[9 : 9 + n]), angles, max_m, _floats(words[after : after + 3])
+    return Beams(_floats(words[9 : 9 + n]), angles, True, max_m), _floats(words[after : after + 3])
 
 
 def _check_length(words: list[str], expected: int) -> None:
@@ -127,7 +147,7 @@ def flaser_angles(beams: int, place: str, fov_rad: float | None) -> Floats:
         known = listed(BEAM_STEP_DEG)
         raise LogError(
             f"{place}: {beams} beams, and an FLASER line does not state its field of view (known are {known}); "
-            "give ?fov_deg=, the angle between first and last beam"
+            "give ?fov_deg=, the angle between first and last beam, or describe the sensor with its ring"
         )
     angles: Floats = np.deg2rad(-90.0 + BEAM_STEP_DEG[beams] * np.arange(beams))
     return angles
@@ -215,7 +235,8 @@ READER = Reader(
     open=open_carmen,
     options={
         "max_range_m": f"readings from here on are no return (default {MAX_RANGE_M:g}: the lowest sentinel)",
-        "fov_deg": "angle from first to last beam of FLASER lines (default: by 180, 181, 360 or 361 beams)",
+        "fov_deg": "angle from first to last beam of FLASER lines (default: as the described sensor has, else by "
+        "180, 181, 360 or 361 beams)",
         "message": "FLASER | ROBOTLASER1, where a log holds both",
         "stamps": "log (default) | index: number the scans, for logs whose clock is of no use; needs rate_hz",
         "rate_hz": "scans a second for ?stamps=index",

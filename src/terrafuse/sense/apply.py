@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
@@ -10,11 +11,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from terrafuse.errors import InputError
-from terrafuse.sense.sensor import CLEAR, IGNORE, Sensor, axes
-from terrafuse.types import Array, Floats, NoReturns, Pose, Scan, Stamp
+from terrafuse.sense.sensor import CLEAR, IGNORE, Beams, Ring, Sensor, axes
+from terrafuse.types import Array, Floats, NoReturns, Pose, Readings, Scan, Stamp
 
 SENTINEL_TOLERANCE_M = 5e-4
 """Logs print 8.183 also as 8.183001, and float32 has no 81.83; sensors count in millimetres or coarser."""
+
+AIM_TOLERANCE_RAD = 0.01
+"""How far a log's own angles may be from a description's: printed digits and float32 steps come to less, a beam of
+another sensor to more."""
 
 NOT_FINITE = "not finite"
 TOO_NEAR = "nearer than the sensor's min_range_m"
@@ -69,31 +74,84 @@ def scan_of(sensor: Sensor, ranges_m: Any, stamp_ns: Stamp, T_world_base: Pose) 
 
     All beams count as of `stamp_ns`. Raises InputError for another number of readings than the sensor has beams.
     """
-    if sensor.beams is None:
-        raise InputError(f"sensor {sensor.name} describes no beams; give it a 'ring' or 'beams' with their angles")
     readings = np.asarray(ranges_m, np.float64)
-    directions, outward = axes(sensor.beams)
+    directions, _ = axes(_described_beams(sensor))
     if readings.shape != (len(directions),):
         raise InputError(
             f"sensor {sensor.name}: readings of shape {readings.shape} for {len(directions)} beams; "
             f"give {len(directions)} numbers, one a beam, in their order"
         )
+    return _aimed(sensor, Readings(readings, np.ones(len(readings), bool)), stamp_ns, T_world_base)
+
+
+def _aimed(sensor: Sensor, readings: Readings, stamp_ns: Stamp, T_world_base: Pose) -> Scan:
+    """The scan of readings along the sensor's own beams, of which there are as many.
+
+    A reading that the log calls no return stays none: the log was read with a limit of its own, beyond which nothing
+    counts.
+    """
+    directions, outward = axes(_described_beams(sensor))
+    ranges_m, said = readings.ranges_m, sort_readings(sensor, readings.ranges_m)
+    returned, cut = said.returned & readings.returned, said.returned & ~readings.returned
     starts = np.asarray(sensor.origin_m) + sensor.radius_m * outward
-    said = sort_readings(sensor, readings)
-    points = starts[said.returned] + readings[said.returned, None] * directions[said.returned]
-    misses = starts[said.clear] + sensor.max_range_m * directions[said.clear]
-    origins = np.concatenate([starts[said.returned], starts[said.clear]]) if sensor.has_origins else None
+    reach_m = np.where(np.isposinf(ranges_m), min(readings.clear_m, sensor.max_range_m), sensor.max_range_m)
+    points = starts[returned] + ranges_m[returned, None] * directions[returned]
+    misses = starts[said.clear] + reach_m[said.clear, None] * directions[said.clear]
+    origins = np.concatenate([starts[returned], starts[said.clear]]) if sensor.has_origins else None
     T_world_sensor = T_world_base @ sensor.mounting.T_base_sensor
-    return Scan(stamp_ns, points, T_world_sensor, misses, origins, sensor.beam, dropped=said.dropped)
+    dropped = said.dropped + _counted({NO_RETURN: cut})
+    return Scan(stamp_ns, points, T_world_sensor, misses, origins, sensor.beam, dropped=dropped)
+
+
+def _described_beams(sensor: Sensor) -> Ring | Beams:
+    if sensor.beams is None:
+        raise InputError(f"sensor {sensor.name} describes no beams; give it a 'ring' or 'beams' with their angles")
+    return sensor.beams
+
+
+def check_aim(sensor: Sensor, readings: Readings) -> None:
+    """Raise InputError where these can't be readings of the sensor's beams: another number of them, or the log states
+    other angles."""
+    directions, _ = axes(_described_beams(sensor))
+    count = len(readings.ranges_m)
+    own = "" if readings.directions is None else "; without 'ring' and 'beams' a description leaves the log its angles"
+    if count != len(directions):
+        raise InputError(
+            f"the log has {count} beams, the sensor {sensor.name} has {len(directions)}: "
+            f"describe the sensor that the log is of{own}"
+        )
+    if readings.directions is None:
+        return
+    apart = np.arccos(np.clip(np.einsum("ij,ij->i", directions, readings.directions), -1.0, 1.0))
+    others = np.flatnonzero(~(apart <= AIM_TOLERANCE_RAD))
+    if len(others):
+        in_log, described = (_angles_text(vectors[others[0]]) for vectors in (readings.directions, directions))
+        raise InputError(
+            f"beam {others[0]} looks to {in_log} in the log, to {described} by the sensor {sensor.name}: "
+            f"describe the sensor that the log is of{own}"
+        )
+
+
+def _angles_text(direction: Floats) -> str:
+    azimuth_deg = math.degrees(math.atan2(direction[1], direction[0]))
+    elevation_deg = math.degrees(math.asin(max(-1.0, min(1.0, direction[2]))))
+    return f"{azimuth_deg:.2f}°" + (f" and {elevation_deg:.2f}° up" if abs(elevation_deg) > 0.005 else "")
 
 
 def applied(sensor: Sensor, scan: Scan) -> Scan:
     """A scan that a reader made, as the sensor's description has it.
 
+    Where both the description has beams and the log a reading for each, these are the scan, as in `scan_of`. Raises
+    InputError where their numbers differ, or the angles that a log states itself.
+
     The reader's pose counts as the base's: the mounting is applied to it. Points at or beyond max_range_m become misses
     that end there, or are dropped, as `no_return` says; misses of the log's own, likewise. Beams that the log calls no
     return become misses where the sensor says `clear`. The points that stay are the same in every bit.
     """
+    if scan.readings is not None and sensor.beams is not None:
+        check_aim(sensor, scan.readings)
+        aimed = _aimed(sensor, scan.readings, scan.stamp_ns, scan.T_world_sensor)
+        return replace(aimed, dropped=Counter(scan.dropped) + Counter(aimed.dropped))
     points = _point_shots(sensor, scan)
     said = sort_readings(sensor, points.readings_m)
     dropped = Counter(scan.dropped) + said.dropped

@@ -20,6 +20,8 @@ class ReaderTests:
 
     options: Mapping[str, str] = {}
     """What must follow the `?` for the sample to be read."""
+    aimed: bool = False
+    """Whether the sample says nothing of where beams look, so that only a description makes points of its readings."""
 
     @pytest.fixture
     def reader(self) -> Reader:
@@ -87,13 +89,17 @@ class ReaderTests:
         assert set(_content(iter(read[:-1]))) <= set(whole)
 
     def _open(self, reader: Reader, path: Path, **options: str) -> Log:
-        return open_log(Source(path, {"reader": reader.name, **self.options, **options}))
+        return open_log(Source(path, {"reader": reader.name, **self.options, **options}, self.aimed))
 
 
 def _content(records: Iterator[Record]) -> list[tuple[object, ...]]:
     return [
-        (r.stamp_ns, r.points.tobytes(), r.T_world_sensor.matrix.tobytes())
+        (r.stamp_ns, r.points.tobytes(), _ranges(r), r.T_world_sensor.matrix.tobytes())
         if isinstance(r, Scan)
         else (r.stamp_ns, r.reason)
         for r in records
     ]
+
+
+def _ranges(scan: Scan) -> bytes:
+    return b"" if scan.readings is None else scan.readings.ranges_m.tobytes()

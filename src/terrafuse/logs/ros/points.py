@@ -9,7 +9,7 @@ import numpy as np
 
 from terrafuse.errors import LogError
 from terrafuse.logs.options import listed
-from terrafuse.types import Array, NoReturns, Pose, Scan, Stamp
+from terrafuse.types import Array, NoReturns, Pose, Readings, Scan, Stamp
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
@@ -77,7 +77,8 @@ def laser_scan(message: Any, where: str, stamp_ns: Stamp, T_world_sensor: Pose) 
     angles = message.angle_min + message.angle_increment * np.arange(len(ranges))
     directions = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))], axis=1)
     seen = (ranges >= message.range_min) & (ranges <= message.range_max) & np.isfinite(ranges)
-    clear = np.isposinf(ranges) & (0 < message.range_max < np.inf)
+    has_limit = 0 < message.range_max < np.inf
+    clear = np.isposinf(ranges) & has_limit
     silent = ~seen & ~clear
     return Scan(
         stamp_ns,
@@ -85,6 +86,7 @@ def laser_scan(message: Any, where: str, stamp_ns: Stamp, T_world_sensor: Pose) 
         T_world_sensor,
         misses=message.range_max * directions[clear],
         no_returns=NoReturns(directions[silent], ranges[silent]),
+        readings=Readings(ranges, seen, directions, float(message.range_max) if has_limit else np.inf),
     )
 
 

@@ -16,7 +16,7 @@ from terrafuse.models import make_model
 from terrafuse.models.base import AnyPatch, Model
 from terrafuse.store.base import PathPoint
 from terrafuse.tile import Tile
-from terrafuse.types import Pose, Scan, Stamp, TileKey, checked_pose, is_rigid
+from terrafuse.types import Array, Pose, Scan, Stamp, TileKey, checked_pose, is_rigid
 from terrafuse.window import Allocation, KeepAll, Residency, Window
 
 LEAVING_SHARE = 4
@@ -111,6 +111,11 @@ class Mapper:
         return self._revision
 
     @property
+    def stamp_ns(self) -> Stamp:
+        """The newest stamp of any scan."""
+        return self._stamp_ns
+
+    @property
     def resident_bytes(self) -> int:
         return self._resident_bytes
 
@@ -118,6 +123,18 @@ class Mapper:
     def keys(self) -> list[TileKey]:
         """Every tile that the robot ever touched, in memory or not, sorted."""
         return sorted(self._revisions)
+
+    def touched(self, since: int) -> list[TileKey]:
+        """The tiles that scans after revision `since` touched, sorted."""
+        return sorted(key for key, revision in self._revisions.items() if revision > since)
+
+    def cells(self, key: TileKey) -> Array:
+        """The robot's own cells of a tile it touched, (T, T) records, [j, i]; from memory or the archive. Read-only."""
+        side = self.lattice.tile_cells
+        if (tile := self._resident.get(key)) is None:
+            tile, held = self.model.tile(self.lattice), self._load(key)
+            tile.put(held.at, held.cells)
+        return tile.cells().reshape(side, side)
 
     def integrate(self, scan: Scan) -> Integrated:
         """Take a scan into the map: observe, page in, merge, page out."""
@@ -173,8 +190,7 @@ class Mapper:
 
     def delta(self, since: int = 0) -> Delta:
         """The cells that changed after revision `since`, as absolute states. Asking changes nothing."""
-        keys = [key for key, revision in sorted(self._revisions.items()) if revision > since]
-        changed = (self._changed(key, since) for key in keys)
+        changed = (self._changed(key, since) for key in self.touched(since))
         tiles = tuple(part for part in changed if len(part.at))
         return Delta(map_id(self.model.name, self.lattice), self.robot, since, self._revision, self._stamp_ns, tiles)
 

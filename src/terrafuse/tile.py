@@ -39,6 +39,9 @@ class Tile(Protocol):
         Cheap where `since` grows from call to call, as it does for whoever follows the map.
         """
 
+    def cells(self) -> Array:
+        """Every cell, (T²,), the unknown ones, too. Not to be written to: it may be the tile's own memory."""
+
     def put(self, at: Array, cells: Array) -> None:
         """Set the cells at these positions: how a tile comes back from a store."""
 
@@ -68,6 +71,9 @@ class RecordTile:
     def changed(self, since: int) -> tuple[Array, Array]:
         at = np.flatnonzero(self._cells["revision"] > since).astype(np.int32)
         return at, opaque(self._cells)[at].view(self._cells.dtype)
+
+    def cells(self) -> Array:
+        return self._cells
 
     def put(self, at: Array, cells: Array) -> None:
         opaque(self._cells)[at] = opaque(np.ascontiguousarray(cells))

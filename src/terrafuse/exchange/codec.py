@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -146,6 +147,20 @@ def decode(message: bytes, cell: np.dtype[np.void]) -> Delta:
     except DeltaError as error:
         raise CodecError(str(error)) from error
     return delta
+
+
+class Heading(NamedTuple):
+    """Whose delta it is, and from which revision to which."""
+
+    robot: str
+    since: int
+    revision: int
+
+
+def heading(message: bytes) -> Heading:
+    """What a delta's header says; its cells stay packed. Raises CodecError for bytes without a readable one."""
+    header, _ = _head(message)
+    return Heading(header.robot, header.since, header.revision)
 
 
 def _head(message: bytes) -> tuple[_Header, int]:

@@ -23,6 +23,7 @@ class MemoryStore:
         self._tiles: dict[str, dict[TileKey, Array]] = {}
         self._paths: dict[str, dict[int, PathPoint]] = {}
         self._history: dict[tuple[str, int, int, str], HistoryEntry] = {}
+        self._newest: dict[str, tuple[int, Stamp]] = {}
 
     @property
     def map(self) -> MapId:
@@ -44,6 +45,8 @@ class MemoryStore:
             newest(tiles[tile.key], tile.at, tile.cells)
         for point in path:
             self._paths.setdefault(delta.robot, {}).setdefault(point.stamp_ns, point)
+        revision, stamp_ns = self._newest.get(delta.robot, (0, 0))
+        self._newest[delta.robot] = max(revision, delta.revision), max(stamp_ns, delta.stamp_ns)
         self._history[delta.identity] = HistoryEntry(
             len(self._history) + 1,
             delta.robot,
@@ -66,10 +69,10 @@ class MemoryStore:
         return sorted({key for tiles in self._tiles.values() for key in tiles})
 
     def revision(self, robot: str) -> int:
-        return max((entry.revision for entry in self._history.values() if entry.robot == robot), default=0)
+        return self._newest.get(robot, (0, 0))[0]
 
     def stamp(self, robot: str) -> Stamp:
-        return max((entry.stamp_ns for entry in self._history.values() if entry.robot == robot), default=0)
+        return self._newest.get(robot, (0, 0))[1]
 
     def revisions(self, robot: str) -> dict[TileKey, int]:
         return {key: int(cells["revision"].max()) for key, cells in self._tiles.get(robot, {}).items()}

@@ -2,71 +2,14 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from datetime import UTC, datetime
-from html import escape
 from pathlib import Path
 from typing import Any
 
-from terrafuse.errors import InputError
-from terrafuse.export.files import final
-
-STYLE = """
-:root { color-scheme: light dark; --ink: #22272e; --quiet: #68717d; --line: #dfe3e8; --page: #ffffff; --soft: #f6f7f9;
-  --accent: #2f6650; }
-@media (prefers-color-scheme: dark) { :root { --ink: #e4e8ed; --quiet: #98a2ae; --line: #343b44; --page: #15191e;
-  --soft: #1d2229; --accent: #86c5a5; } }
-* { box-sizing: border-box; }
-body { margin: 0 auto; max-width: 76rem; padding: 2rem 1.25rem 4rem; background: var(--page); color: var(--ink);
-  font: 15px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; }
-h1 { font-size: 1.7rem; margin: 0; }
-h2 { font-size: 1.1rem; margin: 2.2rem 0 .6rem; color: var(--accent); }
-.quiet { color: var(--quiet); margin: .2rem 0 1.2rem; }
-.facts { display: grid; grid-template-columns: repeat(auto-fit, minmax(8.5rem, 1fr)); gap: .75rem; margin: 1.2rem 0; }
-.facts div { background: var(--soft); border: 1px solid var(--line); border-radius: .5rem; padding: .6rem .8rem; }
-.facts b { display: block; font-size: 1.3rem; font-weight: 600; font-variant-numeric: tabular-nums; }
-.facts span { color: var(--quiet); font-size: .8rem; }
-img { display: block; max-width: 100%; height: auto; margin: auto; }
-figure { margin: 0; background: #ffffff; border: 1px solid var(--line); border-radius: .5rem; padding: .5rem; }
-.wide { overflow-x: auto; }
-table { border-collapse: collapse; width: 100%; font-size: .88rem; }
-th, td { padding: .35rem .7rem; border-bottom: 1px solid var(--line); text-align: left; vertical-align: top; }
-thead th { color: var(--quiet); font-weight: 500; white-space: nowrap; }
-td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
-td { min-width: 7rem; overflow-wrap: anywhere; }
-td.number { min-width: 0; }
-th[scope=row] { font-weight: 600; white-space: nowrap; }
-code { font: .85em ui-monospace, "DejaVu Sans Mono", monospace; }
-"""
-
-PAGE = """<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8"/>
-<meta name="viewport" content="width=device-width, initial-scale=1"/>
-<title>{title}</title>
-<style>{style}</style>
-</head>
-<body>
-<h1>{title}</h1>
-<p class="quiet">{about}</p>
-{body}
-</body>
-</html>
-"""
-
-Row = Sequence["str | Number"]
-
-
-@dataclass(frozen=True)
-class Number:
-    """A cell that is set to the right."""
-
-    text: str
+from terrafuse.export.page import Number, Row, boxes, figure, section, table, write_page
 
 
 def write_report(path: Path | str, report: Mapping[str, Any], picture: Path | str) -> None:
@@ -74,38 +17,27 @@ def write_report(path: Path | str, report: Mapping[str, Any], picture: Path | st
 
     Raises InputError if the picture can't be read, OutputError where the file can't be written.
     """
-    try:
-        image = base64.b64encode(Path(picture).read_bytes()).decode("ascii")
-    except OSError as error:
-        raise InputError(f"{picture}: the report's picture can't be read: {error.strerror}") from error
+    image = figure(picture, "The map, seen from above")
     robots = " + ".join(_robots_of(report))
-    text = PAGE.format(
-        title=escape(f"Map of {robots}" if robots else "Map"),
-        style=STYLE,
-        about=escape(f"terrafuse {report.get('terrafuse', '')}"),
-        body=_body(report, image),
-    )
-    with final(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    title = f"Map of {robots}" if robots else "Map"
+    write_page(path, title, f"terrafuse {report.get('terrafuse', '')}", _body(report, image))
 
 
-def _body(report: Mapping[str, Any], image: str) -> str:
+def _body(report: Mapping[str, Any], image: str) -> list[str]:
     by_robot = {name: robot.get("seconds", {}) for name, robot in _robots_of(report).items()}
-    return "\n".join(
-        [
-            _facts(report),
-            f'<figure><img alt="The map, seen from above" src="data:image/png;base64,{image}"/></figure>',
-            _section("Robots", _robots(report)),
-            _section("Windows", _windows(report)),
-            _section("Points dropped, scans skipped", _losses(report)),
-            _section("Map", _map(report)),
-            _section("Layers", _layers(report)),
-            _section("Seconds of each robot", _seconds(by_robot)),
-            _section("Seconds of the run", _seconds({"run": report.get("seconds", {})})),
-            _section("Settings", _settings(report)),
-            _section("Files", _table((), [[name, file] for name, file in report.get("files", {}).items()])),
-        ]
-    )
+    return [
+        _facts(report),
+        image,
+        section("Robots", _robots(report)),
+        section("Windows", _windows(report)),
+        section("Points dropped, scans skipped", _losses(report)),
+        section("Map", _map(report)),
+        section("Layers", _layers(report)),
+        section("Seconds of each robot", _seconds(by_robot)),
+        section("Seconds of the run", _seconds({"run": report.get("seconds", {})})),
+        section("Settings", _settings(report)),
+        section("Files", table((), [[name, file] for name, file in report.get("files", {}).items()])),
+    ]
 
 
 def _robots_of(report: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
@@ -126,8 +58,7 @@ def _facts(report: Mapping[str, Any]) -> str:
         "area known": f"{_count(cells * resolution**2)} m²" if cells and resolution else "",
         "sent in deltas": _bytes(sum(report.get("delta_bytes_per_robot", {}).values())),
     }
-    boxes = (f"<div><b>{escape(value)}</b><span>{name}</span></div>" for name, value in facts.items() if value)
-    return f'<div class="facts">{"".join(boxes)}</div>'
+    return boxes(facts)
 
 
 def _robots(report: Mapping[str, Any]) -> str:
@@ -147,7 +78,7 @@ def _robots(report: Mapping[str, Any]) -> str:
         ]
         for name, robot in _robots_of(report).items()
     ]
-    return _table(head, rows)
+    return table(head, rows)
 
 
 PAGING = {"most_resident": "tiles in memory", "loads": "loads", "writes": "writes", "evictions": "evicted"}
@@ -160,7 +91,7 @@ def _windows(report: Mapping[str, Any]) -> str:
         [name, *_allocation(robot.get("allocation", {})), *(Number(_count(robot.get(key))) for key in PAGING)]
         for name, robot in _robots_of(report).items()
     ]
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def _allocation(held: Mapping[str, float]) -> list[Number]:
@@ -179,7 +110,7 @@ def _losses(report: Mapping[str, Any]) -> str:
         for what, key in (("points dropped", "dropped"), ("scans skipped", "skipped"))
         for reason, count in robot.get(key, {}).items()
     ]
-    return _table(["robot", "what", "reason", "how many"], rows)
+    return table(["robot", "what", "reason", "how many"], rows)
 
 
 def _map(report: Mapping[str, Any]) -> str:
@@ -197,7 +128,7 @@ def _map(report: Mapping[str, Any]) -> str:
         "most memory of the process": _bytes(report.get("resident_bytes")),
         "SHA-256 of the cells": about.get("digest"),
     }
-    return _table((), [[name, str(value)] for name, value in facts.items() if value not in (None, "")])
+    return table((), [[name, str(value)] for name, value in facts.items() if value not in (None, "")])
 
 
 def _layers(report: Mapping[str, Any]) -> str:
@@ -210,7 +141,7 @@ def _layers(report: Mapping[str, Any]) -> str:
         ]
         for name, layer in report.get("layers", {}).items()
     ]
-    return _table(["layer", "unit", "min", "mean", "max", "cells"], rows)
+    return table(["layer", "unit", "min", "mean", "max", "cells"], rows)
 
 
 def _seconds(stages: Mapping[str, Mapping[str, float]]) -> str:
@@ -220,39 +151,13 @@ def _seconds(stages: Mapping[str, Mapping[str, float]]) -> str:
         [who, *(Number(f"{seconds[name]:.3f}" if name in seconds else "") for name in names)]
         for who, seconds in stages.items()
     ]
-    return _table(["", *names], rows) if names else ""
+    return table(["", *names], rows) if names else ""
 
 
 def _settings(report: Mapping[str, Any]) -> str:
     settings = {**report.get("settings", {}), **report.get("map", {}).get("settings", {})}
     rows = [[name, value if isinstance(value, str) else json.dumps(value)] for name, value in settings.items()]
-    return _table((), rows)
-
-
-def _section(title: str, content: str) -> str:
-    return f"<section><h2>{title}</h2>{content}</section>" if content else ""
-
-
-def _table(head: Iterable[str], rows: Sequence[Row]) -> str:
-    """Empty without rows. The first cell of a row names it; everything is escaped here."""
-    if not rows:
-        return ""
-    kinds = [' class="number"' if isinstance(cell, Number) else "" for cell in rows[0]]
-    titles = "".join(f"<th{kind}>{escape(name)}</th>" for name, kind in zip(head, kinds, strict=False))
-    lines = "".join(f"<tr>{_cells(row)}</tr>" for row in rows)
-    header = f"<thead><tr>{titles}</tr></thead>" if titles else ""
-    return f'<div class="wide"><table>{header}<tbody>{lines}</tbody></table></div>'
-
-
-def _cells(row: Row) -> str:
-    first, *others = row
-    cells = [f'<th scope="row">{escape(str(first))}</th>']
-    for cell in others:
-        if isinstance(cell, Number):
-            cells.append(f'<td class="number">{escape(cell.text)}</td>')
-        else:
-            cells.append(f"<td>{escape(cell)}</td>")
-    return "".join(cells)
+    return table((), rows)
 
 
 def _count(value: float | None) -> str:

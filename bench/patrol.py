@@ -24,7 +24,15 @@ import numpy as np
 from bench.report import parser, tell
 from bench.stream import scene
 from terrafuse.demo.scene import Lidar, scan
-from terrafuse.kernels import rasterise, terrain, terrain_coarsen, terrain_planes, terrain_points
+from terrafuse.kernels import (
+    rasterise,
+    terrain,
+    terrain_coarsen,
+    terrain_fuse,
+    terrain_merge,
+    terrain_planes,
+    terrain_points,
+)
 from terrafuse.lattice import Lattice
 from terrafuse.mapper import Mapper
 from terrafuse.models.terrain import Terrain
@@ -114,7 +122,7 @@ class Compiled(Maps):
         timed(POINT_LIST, terrain_points.locate, scan.points, T, *lattice, *self.points, dropped, self.later)
         count = timed(HEIGHTS, self._heights, len(scan.points), T[2, 3])
         grid = (self.grid, self.first_slot - count)
-        timed(GRADIENTS, terrain_planes.difference_neighbours, self.places, count, *grid, per_m, self.cells)
+        timed(GRADIENTS, self._gradients, count, *grid)
         where = (self.places, count, i0, j0, T, per_m, RANGE_M, MODEL.subcells)
         timed(CONFIDENCE, terrain_planes.assess, self.sums, *where, self.cells)
         timed(OCCUPATION, terrain_planes.occupy_all, count, MODEL.max_slope, self.cells)
@@ -125,15 +133,19 @@ class Compiled(Maps):
     def _heights(self, count: int, sensor_z: float) -> int:
         cells = terrain_points.add_up(*self.points, count, self.grid, self.first_slot, self.places, self.sums)
         self.first_slot += cells
-        terrain_planes.fit(self.sums, cells, sensor_z, HRM.cells_per_m, MODEL.least_spread, self.cells)
+        terrain_planes.fit(self.sums, cells, sensor_z, HRM.cells_per_m, MODEL.point_sigma_m, self.cells)
         return int(cells)
+
+    def _gradients(self, count: int, grid: Array, first_slot: int) -> None:
+        where, per_m = (self.sums, self.places, count, grid, first_slot), HRM.cells_per_m
+        terrain_planes.difference_neighbours(*where, per_m, MODEL.point_sigma_m, self.cells)
 
     def _into_hrm(self, count: int, i0: int, j0: int, stamp_ns: int, revision: int) -> None:
         tiles, _ = rasterise.divide(self.places, self.cells, count, i0, j0, SIDE, self.keys, self.tile_of, self.at)
         assert tiles == 1
         addresses = np.array([self.hrm.ctypes.data])
         cells = self.cells[:count]
-        terrain.merge(addresses, self.tile_of[:count], self.at[:count], cells, stamp_ns, revision, FINE)
+        terrain_merge.merge(addresses, self.tile_of[:count], self.at[:count], cells, stamp_ns, revision, FINE)
 
     def _coarsen(self) -> Array:
         out = np.zeros((SIDE // FACTOR, SIDE // FACTOR), terrain.CELL)
@@ -142,7 +154,7 @@ class Compiled(Maps):
 
 
 def fuse(own: Array, new: Array) -> Array:
-    terrain.fuse(own, new, COARSE)
+    terrain_fuse.fuse(own, new, COARSE)
     return own
 
 
@@ -153,7 +165,8 @@ class Reference(Maps):
         timed, T, per_m = self.clock.time, scan.T_world_sensor.matrix, HRM.cells_per_m
         i, j, *uvw = timed(POINT_LIST, terrain_points.locate_reference, scan.points, T, per_m, 0.0, RANGE_M)
         i, j, sums, cells = timed(HEIGHTS, self._heights, i, j, uvw, T[2, 3])
-        timed(GRADIENTS, terrain_planes.difference_neighbours_reference, i, j, cells, per_m)
+        differences = terrain_planes.difference_neighbours_reference
+        timed(GRADIENTS, differences, i, j, sums, cells, per_m, MODEL.point_sigma_m)
         where = (i, j, sums, T, per_m, RANGE_M, MODEL.subcells)
         cells["confidence"] = timed(CONFIDENCE, terrain_planes.assess_reference, *where)
         timed(OCCUPATION, terrain_planes.occupy_reference, cells, MODEL.max_slope)
@@ -164,15 +177,15 @@ class Reference(Maps):
 
     def _heights(self, i: Array, j: Array, uvw: list[Array], sensor_z: float) -> tuple[Array, Array, Array, Array]:
         i, j, sums = terrain_points.add_up_reference(i, j, *uvw, ACROSS)
-        return i, j, sums, terrain_planes.fit_reference(sums, sensor_z, HRM.cells_per_m, MODEL.least_spread)
+        return i, j, sums, terrain_planes.fit_reference(sums, sensor_z, HRM.cells_per_m, MODEL.point_sigma_m)
 
     def _into_hrm(self, i: Array, j: Array, cells: Array, stamp_ns: int, revision: int) -> None:
         at = j * SIDE + i
-        self.hrm[at] = terrain.merge_reference(self.hrm[at], cells, stamp_ns, revision, FINE)
+        self.hrm[at] = terrain_merge.merge_reference(self.hrm[at], cells, stamp_ns, revision, FINE)
 
 
 def fuse_reference(own: Array, new: Array) -> Array:
-    return terrain.fuse_reference(own, new, COARSE)
+    return terrain_fuse.fuse_reference(own, new, COARSE)
 
 
 class Product(Maps):

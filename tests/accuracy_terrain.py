@@ -15,6 +15,7 @@ import numpy as np
 
 from terrafuse.demo.scene import Scene, covered, scan, truth
 from terrafuse.demo.world import LIDAR, ROUNDS, SCENE, T_BASE_SENSOR, pose_on
+from terrafuse.kernels.terrain import GRADIENTS
 from terrafuse.lattice import Lattice
 from terrafuse.mapper import Mapper
 from terrafuse.models.terrain import Terrain
@@ -25,6 +26,7 @@ from terrafuse.views import chosen_layers, mosaic, window_of
 from tests.accuracy import AV2_LOG, table
 
 STILL = Scene(SCENE.ground, SCENE.boxes)
+ANY_RANGE = Terrain(max_range_m=1e8)
 BESIDE_WALLS_M = 0.06
 """Three sigma of the range: so far beside a wall do points of it lie."""
 
@@ -32,35 +34,39 @@ BESIDE_WALLS_M = 0.06
 # --- planes of known slope -------------------------------------------------------------------------------------------
 
 
-def plane_errors(points: int, noise_m: float, seed: int = 0, side: int = 40) -> tuple[Floats, Floats]:
-    """(errors (K, 3), their standard errors (K, 3)) of height at the centre and both gradients, of random planes.
+def plane_errors(
+    points: int, noise_m: float, seed: int = 0, side: int = 40, model: Terrain = ANY_RANGE
+) -> tuple[Floats, Floats]:
+    """(errors (K, 3), their standard errors (K, 3)) of height at the centre and both gradients, of K random planes.
 
-    Cells of 0.5 m with so many points, uniform within. The standard errors are σ √diag((XᵀX)⁻¹), X = [1 x y] from the
-    cell's centre. Cells that the model took no plane of, as their points do not spread, are left out.
+    Cells of 0.5 m without neighbours, with so many points each, uniform within. The standard errors are least squares'
+    own, σ √diag((XᵀX)⁻¹), X = [1 x y] from the cell's centre. Where the model takes no plane, errors are NaN.
     """
-    rng, lattice = np.random.default_rng(seed), Lattice(0.5, 0.5 * side)
+    rng, lattice = np.random.default_rng(seed), Lattice(0.5, float(side))
     truths = rng.uniform((-5, -0.5, -0.5), (5, 0.5, 0.5), (side * side, 3))
     X = np.ones((side * side, points, 3))
     X[..., 1:] = rng.uniform(-0.25, 0.25, (side * side, points, 2))
     z = np.einsum("kni,ki->kn", X, truths) + rng.normal(0, noise_m, X.shape[:2])
     j, i = np.divmod(np.arange(side * side), side)
-    centre = 0.5 * (np.stack([i, j], axis=-1) + 0.5)[:, None]
+    centre = 0.5 * (2 * np.stack([i, j], axis=-1) + 0.5)[:, None]
     cloud = np.concatenate([X[..., 1:] + centre, z[..., None]], axis=2).reshape(-1, 3)
-    patch = Terrain(max_range_m=1e8).observer(lattice)(scan_of(cloud))
+    patch = model.observer(lattice)(scan_of(cloud))
     records = patch.records[np.argsort(patch.at)]
     found = np.stack([records[name] for name in ("height", "gradient_x", "gradient_y")], axis=-1)
-    spread = np.linalg.eigvalsh(np.stack([np.cov(cell.T, bias=True) for cell in X[..., 1:]]))[:, 0]
-    sound = spread >= (0.5 * Terrain().least_spread) ** 2
+    found[records["flags"] & GRADIENTS == 0] = np.nan
     standard = noise_m * np.sqrt(np.diagonal(np.linalg.inv(X.swapaxes(1, 2) @ X), axis1=1, axis2=2))
-    return (found - truths)[sound], standard[sound]
+    return found - truths, standard
 
 
 def plane_table() -> dict[str, dict[str, float]]:
     rows = {}
     for points in (3, 5, 20, 200, 10_000):
         error, standard = plane_errors(points, 0.01, side=40 if points <= 200 else 10)
+        made = np.isfinite(error[:, 0])
+        error, standard = error[made], standard[made]
         rows[f"{points} points"] = {
-            "cells": len(error),
+            "planes": int(made.sum()),
+            "on a line, for all that is known": int((~made).sum()),
             "RMS error of gradient_x": float(np.sqrt(np.mean(error[:, 1] ** 2))),
             "its standard error (RMS)": float(np.sqrt(np.mean(standard[:, 1] ** 2))),
             "RMS of error / standard error": float(np.sqrt(np.mean((error / standard) ** 2))),
@@ -144,8 +150,9 @@ def map_of(laps: list[list[Scan]], resolution_m: float) -> Replica:
     return replica
 
 
-def errors(replica: Replica) -> tuple[Floats, Floats, Floats]:
-    """(confidence, error of height in m, error of the gradient) of the cells away from walls; the last may be NaN."""
+def errors(replica: Replica) -> dict[str, Floats]:
+    """Of the cells away from walls: confidence, error of height in m, error of the gradient and the standard error that
+    the map states of it, and occupation; NaN where unknown."""
     window, lattice = window_of(replica, None), replica.lattice
     layers = mosaic(replica, chosen_layers(replica, None), window)
     i0, j0, i1, j1 = window
@@ -154,27 +161,37 @@ def errors(replica: Replica) -> tuple[Floats, Floats, Floats]:
     on_roof = covered(STILL, lattice, window, -margin_m)
     clear = ~np.isnan(layers["height"]) & (on_roof | ~covered(STILL, lattice, window, margin_m))
     east, north = (np.where(on_roof, 0.0, gradient) for gradient in STILL.ground.gradient(x, y))
-    tilt = np.hypot(layers["gradient_x"] - east, layers["gradient_y"] - north)
-    return layers["confidence"][clear], np.abs(layers["height"] - truth(STILL, lattice, window))[clear], tilt[clear]
+    out = {
+        "height": np.abs(layers["height"] - truth(STILL, lattice, window)),
+        "gradient": np.hypot(layers["gradient_x"] - east, layers["gradient_y"] - north),
+        **{name: layers[name] for name in ("confidence", "gradient_error", "occupation")},
+    }
+    return {name: values[clear] for name, values in out.items()}
 
 
 def thirds(replica: Replica) -> dict[str, dict[str, float]]:
     """Errors of the cells by thirds of their confidence."""
-    confidence, height, tilt = errors(replica)
-    rank = np.argsort(np.argsort(confidence, kind="stable"))
+    found = errors(replica)
+    rank = np.argsort(np.argsort(found["confidence"], kind="stable"))
     third: Array = 3 * rank // len(rank)
-    out = {}
-    for k, name in enumerate(("bottom third", "middle third", "top third")):
-        some = third == k
-        out[name] = {
-            "cells": int(some.sum()),
-            "median confidence": float(np.median(confidence[some])),
-            "RMSE of height (m)": float(np.sqrt(np.mean(height[some] ** 2))),
-            "95 % of height errors (m)": float(np.quantile(height[some], 0.95)),
-            "95 % of gradient errors": float(np.nanquantile(tilt[some], 0.95)),
-            "gradient unknown": float(np.isnan(tilt[some]).mean()),
-        }
-    return out
+    names = ("bottom third", "middle third", "top third")
+    return {name: figures({what: some[third == k] for what, some in found.items()}) for k, name in enumerate(names)}
+
+
+def figures(found: dict[str, Floats]) -> dict[str, float]:
+    height, gradient, stated = (found[name] for name in ("height", "gradient", "gradient_error"))
+    told = ~np.isnan(found["occupation"])
+    return {
+        "cells": len(height),
+        "median confidence": float(np.median(found["confidence"])),
+        "RMSE of height (m)": float(np.sqrt(np.mean(height**2))),
+        "95 % of height errors (m)": float(np.quantile(height, 0.95)),
+        "95 % of gradient errors": float(np.nanquantile(gradient, 0.95)),
+        "gradients within three stated errors": float((gradient <= 3 * stated)[~np.isnan(gradient)].mean()),
+        "gradient unknown": float(np.isnan(gradient).mean()),
+        "95 % of gradient errors where there is an occupation": float(np.nanquantile(gradient[told], 0.95)),
+        "occupation unknown": float((~told).mean()),
+    }
 
 
 def calibration(
@@ -195,12 +212,22 @@ CASES = {
 """What `calibration` is asked for."""
 
 
+FIGURES = (
+    "RMSE of height (m)",
+    "95 % of gradient errors",
+    "gradients within three stated errors",
+    "gradient unknown",
+    "95 % of gradient errors where there is an occupation",
+    "occupation unknown",
+)
+
+
 def main() -> None:
     print(f"Measured with `make accuracy`, Python {platform.python_version()}, NumPy {np.__version__}.\n")
     print("### Planes of known slope, 0.5 m cells, 1 cm of noise\n")
     print(table(plane_table()) + "\n")
     cases = {name: calibration(*case) for name, case in CASES.items()}
-    for figure in ("RMSE of height (m)", "95 % of gradient errors", "gradient unknown"):
+    for figure in FIGURES:
         print(f"### Thirds of confidence: {figure}\n")
         names = cases[next(iter(cases))]
         print(table({third: {name: case[third][figure] for name, case in cases.items()} for third in names}) + "\n")

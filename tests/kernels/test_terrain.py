@@ -8,7 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
 
-from terrafuse.kernels import terrain, terrain_coarsen, terrain_planes, terrain_points
+from terrafuse.kernels import (
+    terrain,
+    terrain_coarsen,
+    terrain_fuse,
+    terrain_merge,
+    terrain_planes,
+    terrain_points,
+)
 from terrafuse.kernels.rasterise import DROP_REASONS, WINDOW
 from terrafuse.lattice import Lattice
 from terrafuse.models.terrain import Terrain, TerrainPatch
@@ -42,8 +49,8 @@ def observe_reference(scan: Scan, lattice: Lattice, model: Terrain) -> tuple[Arr
     T, per_m, far_m = scan.T_world_sensor.matrix, lattice.cells_per_m, model.range_m(scan)
     i, j, *uvw = terrain_points.locate_reference(scan.points, T, per_m, model.min_range_m, far_m)
     i, j, sums = terrain_points.add_up_reference(i, j, *uvw, round(model.subcells**0.5))
-    cells = terrain_planes.fit_reference(sums, T[2, 3], per_m, model.least_spread)
-    terrain_planes.difference_neighbours_reference(i, j, cells, per_m)
+    cells = terrain_planes.fit_reference(sums, T[2, 3], per_m, model.point_sigma_m)
+    terrain_planes.difference_neighbours_reference(i, j, sums, cells, per_m, model.point_sigma_m)
     cells["confidence"] = terrain_planes.assess_reference(i, j, sums, T, per_m, far_m, model.subcells)
     terrain_planes.occupy_reference(cells, model.max_slope)
     return i, j, cells
@@ -139,8 +146,8 @@ def test_ageing_equals_the_reference(seed: int) -> None:
 def test_fuse_equals_the_reference(seed: int, resolution_m: float) -> None:
     rules = Terrain().rules(resolution_m)
     own, new = some_cells(seed), some_cells(seed + 1)
-    expected = terrain.fuse_reference(own, new, rules)
-    terrain.fuse(own, new, rules)
+    expected = terrain_fuse.fuse_reference(own, new, rules)
+    terrain_fuse.fuse(own, new, rules)
     same(own, expected)
 
 
@@ -155,9 +162,9 @@ def test_merge_equals_the_reference(seed: int, late: bool) -> None:
     stamp = 10**11 if late else 2 * 10**12
     halves = [own[:100], own[100:]]
     expected = own.copy()
-    expected[at] = terrain.merge_reference(own[at], new, stamp, 77, rules)
+    expected[at] = terrain_merge.merge_reference(own[at], new, stamp, 77, rules)
     addresses = np.array([half.ctypes.data for half in halves])
-    terrain.merge(addresses, (at // 100).astype(np.int32), at % 100, new, stamp, 77, rules)
+    terrain_merge.merge(addresses, (at // 100).astype(np.int32), at % 100, new, stamp, 77, rules)
     same(own, expected)
 
 

@@ -44,7 +44,7 @@ class TestTerrain(LawsOf):
 
     name = "terrain"
     changes_restamp = False
-    gaps = frozenset({"gradient_x", "gradient_y", "occupation", "gps_quality", "communications"})
+    gaps = frozenset({"gradient_x", "gradient_y", "gradient_error", "occupation", "gps_quality", "communications"})
 
 
 class TestOccupancy(LawsOf):

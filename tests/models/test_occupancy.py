@@ -103,6 +103,27 @@ def test_states() -> None:
     assert np.isnan(state[0, 4])
 
 
+@pytest.mark.parametrize(("ticks", "state"), [(-6191, FREE), (-6190, UNDECIDED), (6190, UNDECIDED), (6191, OCCUPIED)])
+def test_states_change_at_035_and_065(ticks: int, state: int) -> None:
+    """ln(0.35/0.65) = -0.6190392."""
+    cells = np.zeros((1, 1), CELL)
+    cells["sum"], cells["updates"] = ticks, 2
+    assert Occupancy().state(cells)[0, 0] == state
+
+
+def test_the_maximum_range_is_100_m() -> None:
+    """From the middle of cell (0, 0): 99 m away is a hit in cell 99; 101 m away clears up to 100 m, in cell 100."""
+    lattice = Lattice(1.0, 200.0)
+    assert (cells_of_row(rays((99, 0, 0)), lattice)[98:102] == [MISS, HIT, 0, 0]).all()
+    assert (cells_of_row(rays((101, 0, 0)), lattice)[98:102] == [MISS, MISS, MISS, 0]).all()
+
+
+def cells_of_row(scan: Scan, lattice: Lattice) -> Array:
+    """The sums of the cells (0, 0) to (199, 0)."""
+    replica = map_of(scan, lattice=lattice)
+    return cells_in(replica, (0, 0, 200, 1), frozenset(replica.keys))["sum"][0]
+
+
 def test_what_layers_say_of_a_cell() -> None:
     first, second = rays((2, 0, 0)), rays((2, 0, 0), stamp_ns=3 * SECOND_NS)
     replica = map_of(first, second)

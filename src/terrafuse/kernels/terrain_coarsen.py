@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 
@@ -18,9 +20,8 @@ from terrafuse.kernels.terrain import (
     aged_reference,
     new_memo,
 )
+from terrafuse.kernels.terrain_fuse import STATICS
 from terrafuse.types import Array
-
-STATICS = ("gps_quality", "communications")
 
 
 @njit(cache=True, nogil=True)
@@ -65,11 +66,20 @@ def least(a, b):
 
 
 @njit(inline="always")
+def variance_of_mean(weighed, plain, weight, count):
+    """Of a mean of `count` values by weights: weighed = Σ(w·σ)², weight = Σw; of a plain mean where weights are 0."""
+    if weight > 0.0:
+        return weighed / (weight * weight)
+    return plain / (count * count) if count > 0.0 else 0.0
+
+
+@njit(inline="always")
 def average(cells, some, count, factor, rules, memo, own):
     """Fill in the surface of a coarse cell from its known cells, one of which at least knows its height."""
     known = weight = height = weight_x = weight_y = x = y = 0.0
     plain = plain_x = plain_y = 0.0
     known_x = known_y = 0.0
+    errors_x = errors_y = plain_errors_x = plain_errors_y = 0.0
     sure, worst = np.float32(-1.0), np.float32(-1.0)
     prior = True
     for k in range(count):
@@ -82,16 +92,21 @@ def average(cells, some, count, factor, rules, memo, own):
         plain += cell.height
         weight += confidence
         height += confidence * cell.height
+        error2 = np.float64(cell.gradient_error) * np.float64(cell.gradient_error)
         if cell.flags & GRADIENT_X:
             known_x += 1.0
             plain_x += cell.gradient_x
             weight_x += confidence
             x += confidence * cell.gradient_x
+            errors_x += confidence * confidence * error2
+            plain_errors_x += error2
         if cell.flags & GRADIENT_Y:
             known_y += 1.0
             plain_y += cell.gradient_y
             weight_y += confidence
             y += confidence * cell.gradient_y
+            errors_y += confidence * confidence * error2
+            plain_errors_y += error2
         if cell.flags & OCCUPATION:
             worst = max(worst, cell.occupation)
             if confidence >= rules.coarse_confidence:
@@ -101,6 +116,9 @@ def average(cells, some, count, factor, rules, memo, own):
         own.gradient_x = np.float32(x / weight_x if weight_x > 0.0 else plain_x / known_x)
     if known_y > 0.0:
         own.gradient_y = np.float32(y / weight_y if weight_y > 0.0 else plain_y / known_y)
+    variance_x = variance_of_mean(errors_x, plain_errors_x, weight_x, known_x)
+    variance_y = variance_of_mean(errors_y, plain_errors_y, weight_y, known_y)
+    own.gradient_error = np.float32(math.sqrt(max(variance_x, variance_y)))
     own.confidence = np.float32(weight / (factor * factor))
     own.occupation = max(sure if sure >= 0.0 else worst, np.float32(0.0))
     own.flags &= HEIGHT | GRADIENT_X | GRADIENT_Y | OCCUPATION
@@ -129,6 +147,10 @@ def coarsen_reference(cells: Array, factor: int, rules: Rules) -> Array:
         total = weight.sum(axis=2)
         out[name] = np.where(total > 0, (weight * squares[name]).sum(axis=2) / np.where(total > 0, total, 1.0), 0.0)
         flags |= np.where(known.any(axis=2), flag, 0).astype(np.uint16)
+        if name != "height":
+            weighed = np.sqrt(((weight * squares["gradient_error"]) ** 2).sum(axis=2))
+            error = np.where(total > 0, weighed / np.where(total > 0, total, 1.0), 0.0)
+            out["gradient_error"] = np.maximum(out["gradient_error"], error)
     known = squares["flags"] & OCCUPATION != 0
     sure = known & (confidence >= rules.coarse_confidence)
     counts = np.where(sure.any(axis=2, keepdims=True), sure, known)

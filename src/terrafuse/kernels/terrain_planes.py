@@ -8,47 +8,47 @@ import numpy as np
 from numba import njit
 
 from terrafuse.kernels.rasterise import WINDOW, cell_at, place_of
-from terrafuse.kernels.terrain import (
-    CELL,
-    GRADIENT_X,
-    GRADIENT_Y,
-    HEIGHT,
-    MOST_CONFIDENT,
-    OCCUPATION,
-    occupation_reference,
-    occupy,
-)
+from terrafuse.kernels.terrain import CELL, GRADIENT_X, GRADIENT_Y, GRADIENTS, HEIGHT, MOST_CONFIDENT, OCCUPATION
+from terrafuse.kernels.terrain_rule import occupation_reference, occupy
 from terrafuse.types import Array, Floats
 
-GRADIENTS = GRADIENT_X | GRADIENT_Y
+COLLINEAR = 2.0
+"""Points lie on a line if their standard deviation across it is no more than so many of a point's own standard errors:
+then noise alone spreads them so. Points of a wall, a line from above, stay under it but for 1 case in 2000."""
+ROUNDING2 = 1e-12
+"""Below this variance across, in sides of the cell squared, sums in float64 are mostly rounding."""
 
 SMALL_RANGE, SMALL_PENALTY = 0.75, 0.2
 """Up to this share of the maximum range the weight falls by the penalty; beyond it, to nothing (fig. 6)."""
 
 
 @njit(cache=True, nogil=True)
-def fit(sums, count, sensor_z, cells_per_m, least_spread, cells):
-    """Heights of `count` cells, and gradients where the points make a plane (eqs. 1 to 7).
+def fit(sums, count, sensor_z, cells_per_m, point_sigma_m, cells):
+    """Heights of `count` cells, and gradients where the points make a plane (eqs. 1 to 7): 3 or more, not on a line.
 
-    A plane needs 3 points that spread: across their thinnest direction their standard deviation must be at least
-    `least_spread` sides of the cell.
+    How far they are from a line is the smallest eigenvalue λ of the scatter of their places. It gives the standard
+    error of the slope, too, in the direction in which that is largest: σ / √(n·λ).
     """
+    sigma = point_sigma_m * cells_per_m
+    least2 = max(COLLINEAR * COLLINEAR * sigma * sigma, ROUNDING2)
     for k in range(count):
         s, cell = sums[k], cells[k]
         u, v, w = s.u / s.n, s.v / s.n, s.w / s.n
         uu, uv, vv = s.uu / s.n - u * u, s.uv / s.n - u * v, s.vv / s.n - v * v
         half = (uu - vv) / 2
         thinnest2 = (uu + vv) / 2 - math.sqrt(half * half + uv * uv)
-        a, b = 0.0, 0.0
+        a, b, error = 0.0, 0.0, 0.0
         cell.flags = HEIGHT
-        if s.n >= 3.0 and thinnest2 >= least_spread * least_spread:
+        if s.n >= 3.0 and thinnest2 > least2:
             uw, vw = s.uw / s.n - u * w, s.vw / s.n - v * w
             determinant = uu * vv - uv * uv
             a, b = (uw * vv - vw * uv) / determinant, (vw * uu - uw * uv) / determinant
+            error = sigma / math.sqrt(s.n * thinnest2)
             cell.flags = HEIGHT | GRADIENTS
         cell.height = w - a * u - b * v + sensor_z
         cell.gradient_x = np.float32(a * cells_per_m)
         cell.gradient_y = np.float32(b * cells_per_m)
+        cell.gradient_error = np.float32(error)
 
 
 @njit(inline="always")
@@ -60,18 +60,24 @@ def neighbour(a, b, grid, first_slot):
 
 
 @njit(inline="always")
-def difference(below, own, above, cells, cells_per_m):
-    """(dz/dx, whether there is one) from the neighbours on one axis: central, one-sided (eqs. 8, 9) or none."""
+def difference(below, own, above, sums, cells, cells_per_m):
+    """(dz/dx, its variance in σ²/side², whether there is one) from the neighbours on one axis: central, one-sided
+    (eqs. 8, 9) or none."""
     if below < 0 and above < 0:
-        return np.float32(0.0), False
+        return np.float32(0.0), 0.0, False
     low, high = below if below >= 0 else own, above if above >= 0 else own
     sides = 2.0 if below >= 0 and above >= 0 else 1.0
-    return np.float32((cells[high].height - cells[low].height) * cells_per_m / sides), True
+    variance = (1.0 / sums[low].n + 1.0 / sums[high].n) / (sides * sides)
+    return np.float32((cells[high].height - cells[low].height) * cells_per_m / sides), variance, True
 
 
 @njit(cache=True, nogil=True)
-def difference_neighbours(places, count, grid, first_slot, cells_per_m, cells):
-    """Gradients of the cells that have no plane, from the heights of their four neighbours."""
+def difference_neighbours(sums, places, count, grid, first_slot, cells_per_m, point_sigma_m, cells):
+    """Gradients of the cells that have no plane, from the heights of their four neighbours.
+
+    Their error is that of the heights, means of so many points each; where in their cells these lie, it leaves out.
+    """
+    sigma = point_sigma_m * cells_per_m
     for k in range(count):
         cell = cells[k]
         if cell.flags & GRADIENTS:
@@ -79,8 +85,9 @@ def difference_neighbours(places, count, grid, first_slot, cells_per_m, cells):
         a, b = cell_at(places[k])
         west, east = neighbour(a - 1, b, grid, first_slot), neighbour(a + 1, b, grid, first_slot)
         south, north = neighbour(a, b - 1, grid, first_slot), neighbour(a, b + 1, grid, first_slot)
-        cell.gradient_x, has_x = difference(west, k, east, cells, cells_per_m)
-        cell.gradient_y, has_y = difference(south, k, north, cells, cells_per_m)
+        cell.gradient_x, variance_x, has_x = difference(west, k, east, sums, cells, cells_per_m)
+        cell.gradient_y, variance_y, has_y = difference(south, k, north, sums, cells, cells_per_m)
+        cell.gradient_error = np.float32(sigma * math.sqrt(max(variance_x, variance_y)))
         cell.flags |= (GRADIENT_X if has_x else np.uint16(0)) | (GRADIENT_Y if has_y else np.uint16(0))
 
 
@@ -124,12 +131,14 @@ def occupy_all(count, max_slope, cells):
 # --- the same, as slowly as it reads ---------------------------------------------------------------------------------
 
 
-def fit_reference(sums: Array, sensor_z: float, cells_per_m: float, least_spread: float) -> Array:
+def fit_reference(sums: Array, sensor_z: float, cells_per_m: float, point_sigma_m: float) -> Array:
     """(K,) CELL with height and gradients: β = (XᵀX)⁻¹ XᵀY (eq. 7), with X = [1 u v] and Y = w, where that is sound."""
     n, u, v, w = (sums[name] for name in ("n", "u", "v", "w"))
     spread = np.array([[sums["uu"], sums["uv"]], [sums["uv"], sums["vv"]]]) / n
     spread -= np.array([[u * u, u * v], [u * v, v * v]]) / n**2
-    sound = (n >= 3) & (np.linalg.eigvalsh(spread.transpose(2, 0, 1))[:, 0] >= least_spread**2)
+    thinnest2 = np.linalg.eigvalsh(spread.transpose(2, 0, 1))[:, 0]
+    sigma = point_sigma_m * cells_per_m
+    sound = (n >= 3) & (thinnest2 > max((COLLINEAR * sigma) ** 2, ROUNDING2))
     XtX = np.array([[n, u, v], [u, sums["uu"], sums["uv"]], [v, sums["uv"], sums["vv"]]]).transpose(2, 0, 1)
     XtY = np.stack([w, sums["uw"], sums["vw"]], axis=-1)
     beta = np.zeros((len(sums), 3))
@@ -138,15 +147,20 @@ def fit_reference(sums: Array, sensor_z: float, cells_per_m: float, least_spread
     cells = np.zeros(len(sums), CELL)
     cells["height"] = beta[:, 0] + sensor_z
     cells["gradient_x"], cells["gradient_y"] = (beta[:, axis] * cells_per_m for axis in (1, 2))
+    cells["gradient_error"][sound] = sigma / np.sqrt((n * thinnest2)[sound])
     cells["flags"] = np.where(sound, HEIGHT | GRADIENTS, HEIGHT)
     return cells
 
 
-def difference_neighbours_reference(i: Array, j: Array, cells: Array, cells_per_m: float) -> None:
+def difference_neighbours_reference(
+    i: Array, j: Array, sums: Array, cells: Array, cells_per_m: float, point_sigma_m: float
+) -> None:
     """Fill in the gradients of cells (K,) in rising (j, i) order that have no plane."""
     height = np.full((j.max() - j.min() + 3, i.max() - i.min() + 3), np.nan)
     row, column = j - j.min() + 1, i - i.min() + 1
     height[row, column] = cells["height"]
+    variance = np.full(height.shape, np.nan)
+    variance[row, column] = (point_sigma_m * cells_per_m) ** 2 / sums["n"]
     bare = cells["flags"] & GRADIENTS == 0
     for name, flag, (dj, di) in (("gradient_x", GRADIENT_X, (0, 1)), ("gradient_y", GRADIENT_Y, (1, 0))):
         below, above = height[row - dj, column - di], height[row + dj, column + di]
@@ -155,6 +169,10 @@ def difference_neighbours_reference(i: Array, j: Array, cells: Array, cells_per_
         fill = bare & (sides > 0)
         cells[name][fill] = (high - low)[fill] * cells_per_m / sides[fill]
         cells["flags"][fill] |= flag
+        below, above = variance[row - dj, column - di], variance[row + dj, column + di]
+        low, high = (np.where(np.isnan(side), variance[row, column], side) for side in (below, above))
+        error = np.sqrt(low + high)[fill] / sides[fill]
+        cells["gradient_error"][fill] = np.maximum(cells["gradient_error"][fill], error)
 
 
 def range_weight_reference(distance: Floats, max_range: float) -> Floats:
@@ -180,5 +198,6 @@ def assess_reference(
 def occupy_reference(cells: Array, max_slope: float) -> None:
     """Fill in the occupation."""
     east, north = (cells[name].astype(np.float64) for name in ("gradient_x", "gradient_y"))
-    cells["occupation"], known = occupation_reference(east, north, cells["flags"] & GRADIENTS == GRADIENTS, max_slope)
+    error, both = cells["gradient_error"].astype(np.float64), cells["flags"] & GRADIENTS == GRADIENTS
+    cells["occupation"], known = occupation_reference(east, north, error, both, max_slope)
     cells["flags"][known] |= OCCUPATION

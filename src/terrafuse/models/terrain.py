@@ -16,7 +16,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from terrafuse.errors import InputError
-from terrafuse.kernels import rasterise, terrain, terrain_coarsen, terrain_planes, terrain_points
+from terrafuse.kernels import (
+    rasterise,
+    terrain,
+    terrain_coarsen,
+    terrain_fuse,
+    terrain_merge,
+    terrain_planes,
+    terrain_points,
+)
 from terrafuse.lattice import Lattice
 from terrafuse.models.base import Layer, Reading, UnsortedPatch, checked_ends, first_flaw, patch_of
 from terrafuse.tile import RecordTile
@@ -54,8 +62,9 @@ class Terrain:
     """Two cells that are this sure and disagree mean that the world has changed."""
     coarse_confidence: float = 2 / 16
     """With at least this confidence, a cell counts for the occupation of a coarser one."""
-    least_spread: float = 0.15
-    """Points make a plane if they spread by this share of the cell's side (standard deviation) in every direction."""
+    point_sigma_m: float = 0.01
+    """Standard error of a measured point, in any direction. It says which points lie on a line, and how far off the
+    slope of a plane may be: gradients tell surfaces apart, and make an occupation, as far as that error lets them."""
 
     name = "terrain"
     cell = terrain.CELL
@@ -65,7 +74,7 @@ class Terrain:
     def __post_init__(self) -> None:
         if math.isqrt(max(self.subcells, 0)) ** 2 != self.subcells or not 1 <= self.subcells <= 64:
             raise InputError(f"subcells {self.subcells}: give a square number from 1 to 64, such as 16, 25 or 64")
-        for field in ("max_slope", "half_life_s", "similar_angle_rad", "similar_height_m", "least_spread"):
+        for field in ("max_slope", "half_life_s", "similar_angle_rad", "similar_height_m", "point_sigma_m"):
             value = getattr(self, field)
             if value is not None and not 0 < value < math.inf:
                 raise InputError(f"{field} {value}: give a positive number")
@@ -106,9 +115,9 @@ class Terrain:
         return TerrainTile(lattice.tile_cells, self.cell, partial(_merge, self.rules(lattice.resolution_m)))
 
     def fuse(self, older: Array, newer: Array, lattice: Lattice) -> Array:
-        """By the stamps, whatever the order of the arguments; of equal stamps the second counts as the newer."""
+        """By the stamps, whatever the order of the arguments; of equal stamps the surer counts as the newer."""
         out = np.ascontiguousarray(older).copy()
-        terrain.fuse(out, np.ascontiguousarray(newer), self.rules(lattice.resolution_m))
+        terrain_fuse.fuse(out, np.ascontiguousarray(newer), self.rules(lattice.resolution_m))
         return out
 
     def coarsen(self, cells: Array, factor: int) -> Array:
@@ -128,6 +137,7 @@ class Terrain:
         return first_flaw({
             "values that are not finite": np.any([~np.isfinite(value) for value in values.values()], axis=0),
             "values that their flags call unknown": np.any(unflagged, axis=0),
+            "a negative gradient_error": cells["gradient_error"] < 0,
             "an occupation outside 0 to 1": (cells["occupation"] < 0) | (cells["occupation"] > 1),
             "a confidence outside 0 to 254/255": ~((cells["confidence"] >= 0)
                                                    & (cells["confidence"] <= terrain.MOST_CONFIDENT)),
@@ -173,6 +183,12 @@ class Terrain:
             Layer("height", "m", "height at the cell's centre", _field("height", terrain.HEIGHT)),
             Layer("gradient_x", "1", "slope dz/dx towards the east", _field("gradient_x", terrain.GRADIENT_X)),
             Layer("gradient_y", "1", "slope dz/dy towards the north", _field("gradient_y", terrain.GRADIENT_Y)),
+            Layer(
+                "gradient_error",
+                "1",
+                "standard error of the gradients, of the worse direction",
+                _field("gradient_error", terrain.GRADIENTS),
+            ),
             self.occupied,
             Layer("confidence", "1", "how sure the cell is by now, 0 to 255", self.confidence),
             Layer("stamp", "s", "last update, seconds since 1970 UTC", lambda c, _: _where(self.known(c), _seconds(c))),
@@ -232,7 +248,7 @@ class TerrainTile(RecordTile):
 def _merge(rules: terrain.Rules, cells: Array, at: Array, patch: Array, stamp_ns: Stamp, revision: int) -> None:
     """A tile by itself takes a patch in."""
     tiles, tile_of = np.array([cells.ctypes.data]), np.zeros(len(at), np.int32)
-    terrain.merge(tiles, tile_of, at, patch, stamp_ns, revision, rules)
+    terrain_merge.merge(tiles, tile_of, at, patch, stamp_ns, revision, rules)
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +259,7 @@ class TerrainPatch(UnsortedPatch):
 
     def merge_into(self, tiles: Sequence[TerrainTile], stamp_ns: Stamp, revision: int) -> None:
         addresses = np.array([tile.address for tile in tiles], np.int64)
-        terrain.merge(addresses, self.tile_of, self.at, self.records, stamp_ns, revision, self.rules)
+        terrain_merge.merge(addresses, self.tile_of, self.at, self.records, stamp_ns, revision, self.rules)
         for tile in tiles:
             tile.revision = revision
 
@@ -308,8 +324,8 @@ class TerrainObserver:
         terrain_points.locate(points, T, per_m, i0, j0, *gate, across, *self._points, dropped, self._later)
         count = terrain_points.add_up(*self._points, len(points), grid, first_slot, places, sums)
         self._first_slot += count
-        terrain_planes.fit(sums, count, T[2, 3], per_m, model.least_spread, cells)
-        terrain_planes.difference_neighbours(places, count, grid, first_slot, per_m, cells)
+        terrain_planes.fit(sums, count, T[2, 3], per_m, model.point_sigma_m, cells)
+        terrain_planes.difference_neighbours(sums, places, count, grid, first_slot, per_m, model.point_sigma_m, cells)
         terrain_planes.assess(sums, places, count, i0, j0, T, per_m, max_range_m, model.subcells, cells)
         terrain_planes.occupy_all(count, model.max_slope, cells)
         tiles, _ = rasterise.divide(

@@ -40,6 +40,7 @@ format: setup
 bench: setup
 	$(BIN)/python -m bench
 	$(BIN)/python -m bench.patrol
+	$(BIN)/python -m bench.physics
 	$(BIN)/python -m bench.plan
 	$(BIN)/python -m bench.rays
 	$(BIN)/python -m bench.sonar

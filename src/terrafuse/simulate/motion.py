@@ -181,7 +181,7 @@ def step(state: State, command: Command, dt_s: float, ground: Ground, body: Body
 
     A robot that meets something stops in the last free place, within PROBE_M of it, and says so.
     """
-    speed, yaw_rate = _within_limits(state, command, dt_s, body)
+    speed, yaw_rate = within_limits(state.speed_mps, state.yaw_rate_radps, command, dt_s, body)
     forward_m = (state.speed_mps + speed) / 2 * dt_s * np.cos(state.pitch_rad)
     turn_rad = (state.yaw_rate_radps + yaw_rate) / 2 * dt_s
     # As many places for all, whatever their speed: a robot's way does not depend on who moves beside it.
@@ -195,15 +195,17 @@ def step(state: State, command: Command, dt_s: float, ground: Ground, body: Body
     return State(np.column_stack([xy, z]), yaw, roll, pitch, speed * moving, yaw_rate * moving, climb, stopped)
 
 
-def _within_limits(state: State, command: Command, dt_s: float, body: Body) -> tuple[Floats, Floats]:
+def within_limits(
+    speed_mps: Floats, yaw_rate_radps: Floats, command: Command, dt_s: float, body: Body
+) -> tuple[Floats, Floats]:
     """Speed and yaw rate at the end of the step; where a wheel would be too fast, both shrink and the curve stays."""
     speed = np.clip(command.speed_mps, -body.max_speed_mps, body.max_speed_mps)
     yaw_rate = np.clip(command.yaw_rate_radps, -body.max_yaw_rate_radps, body.max_yaw_rate_radps)
     fastest = np.abs(speed) + np.abs(yaw_rate) * body.axle_m / 2
     shrink = np.minimum(1, body.max_speed_mps / np.maximum(fastest, 1e-9))
     return (
-        _approached(state.speed_mps, speed * shrink, body.max_mps2 * dt_s),
-        _approached(state.yaw_rate_radps, yaw_rate * shrink, body.max_yaw_radps2 * dt_s),
+        _approached(speed_mps, speed * shrink, body.max_mps2 * dt_s),
+        _approached(yaw_rate_radps, yaw_rate * shrink, body.max_yaw_radps2 * dt_s),
     )
 
 

@@ -1,0 +1,8 @@
+"""What robots do: `BEHAVIOURS` by name, each with the settings that a scenario may give it."""
+
+from terrafuse.simulate.mission.behaviours.base import Behaviour, Kind
+from terrafuse.simulate.mission.behaviours.patrol import Patrol, PatrolSettings
+
+BEHAVIOURS: dict[str, Kind] = {"patrol": (PatrolSettings, Patrol)}
+
+__all__ = ["BEHAVIOURS", "Behaviour", "Kind"]

@@ -10,6 +10,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import pairwise
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -34,6 +36,8 @@ DEFAULT_RANGE_M = 50.0
 """Maximum range of a sensor that does not state one."""
 
 FARTHEST_M = 1e8
+STAGES = ("collision points", "heights", "gradients", "confidence", "occupation")
+"""Of a scan, as in the paper's table 2."""
 
 
 @dataclass(frozen=True)
@@ -272,6 +276,8 @@ class TerrainObserver:
     """Turns scans of one robot into patches on one lattice; keeps the scratch between scans."""
 
     def __init__(self, model: Terrain, lattice: Lattice) -> None:
+        self.seconds = dict.fromkeys(STAGES, 0.0)
+        """Time spent, by stage."""
         self._model, self._lattice, self._rules = model, lattice, model.rules(lattice.resolution_m)
         self._grid = np.zeros(rasterise.NOWHERE + 1, np.int32)
         self._first_slot = 1
@@ -321,13 +327,21 @@ class TerrainObserver:
         per_m, grid, places, sums, cells = lattice.cells_per_m, self._grid, self._places, self._sums, self._cells
         gate = model.min_range_m**2, max_range_m**2
         across = math.isqrt(model.subcells)
+        clock = [perf_counter()]
         terrain_points.locate(points, T, per_m, i0, j0, *gate, across, *self._points, dropped, self._later)
+        clock.append(perf_counter())
         count = terrain_points.add_up(*self._points, len(points), grid, first_slot, places, sums)
         self._first_slot += count
         terrain_planes.fit(sums, count, T[2, 3], per_m, model.point_sigma_m, cells)
+        clock.append(perf_counter())
         terrain_planes.difference_neighbours(sums, places, count, grid, first_slot, per_m, model.point_sigma_m, cells)
+        clock.append(perf_counter())
         terrain_planes.assess(sums, places, count, i0, j0, T, per_m, max_range_m, model.subcells, cells)
+        clock.append(perf_counter())
         terrain_planes.occupy_all(count, model.max_slope, cells)
+        clock.append(perf_counter())
+        for stage, (begun, done) in zip(STAGES, pairwise(clock), strict=True):
+            self.seconds[stage] += done - begun
         tiles, _ = rasterise.divide(
             places, cells, count, i0, j0, lattice.tile_cells, self._keys, self._tile_of, self._at
         )

@@ -106,6 +106,11 @@ class Mapper:
         self._path: list[PathPoint] = []
 
     @property
+    def observing(self) -> Mapping[str, float]:
+        """Of the seconds in `observe`, those of each stage, where the model times its stages."""
+        return dict(getattr(self._observe, "seconds", {}))
+
+    @property
     def revision(self) -> int:
         """The number of the newest scan."""
         return self._revision
@@ -128,13 +133,13 @@ class Mapper:
         """The tiles that scans after revision `since` touched, sorted."""
         return sorted(key for key, revision in self._revisions.items() if revision > since)
 
-    def cells(self, key: TileKey) -> Array:
-        """The robot's own cells of a tile it touched, (T, T) records, [j, i]; from memory or the archive. Read-only."""
+    def coarse(self, key: TileKey, factor: int) -> Array:
+        """The robot's own map of a tile that it touched, coarsened: (T/k, T/k) records, [j, i]."""
         side = self.lattice.tile_cells
         if (tile := self._resident.get(key)) is None:
             tile, held = self.model.tile(self.lattice), self._load(key)
             tile.put(held.at, held.cells)
-        return tile.cells().reshape(side, side)
+        return self.model.coarsen(tile.surface().reshape(side, side), factor)
 
     def integrate(self, scan: Scan) -> Integrated:
         """Take a scan into the map: observe, page in, merge, page out."""
@@ -193,6 +198,10 @@ class Mapper:
         changed = (self._changed(key, since) for key in self.touched(since))
         tiles = tuple(part for part in changed if len(part.at))
         return Delta(map_id(self.model.name, self.lattice), self.robot, since, self._revision, self._stamp_ns, tiles)
+
+    def contribution(self, key: TileKey) -> TileCells:
+        """The robot's own cells of a tile that it touched, as they are now."""
+        return self._changed(key, 0)
 
     def commit(self) -> Delta:
         """Write what changed since the last commit to the archive, whole; returns it."""

@@ -39,8 +39,8 @@ class Tile(Protocol):
         Cheap where `since` grows from call to call, as it does for whoever follows the map.
         """
 
-    def cells(self) -> Array:
-        """Every cell, (T²,), the unknown ones, too. Not to be written to: it may be the tile's own memory."""
+    def surface(self) -> Array:
+        """Every cell, (T²,), as far as the model's `coarsen` looks at it. Read-only: it may be the tile's own memory."""
 
     def put(self, at: Array, cells: Array) -> None:
         """Set the cells at these positions: how a tile comes back from a store."""
@@ -72,7 +72,7 @@ class RecordTile:
         at = np.flatnonzero(self._cells["revision"] > since).astype(np.int32)
         return at, opaque(self._cells)[at].view(self._cells.dtype)
 
-    def cells(self) -> Array:
+    def surface(self) -> Array:
         return self._cells
 
     def put(self, at: Array, cells: Array) -> None:

@@ -47,7 +47,7 @@ class CoarseContribution:
 
     def _update(self, key: TileKey) -> int:
         model = self._mapper.model
-        coarse = model.coarsen(self._mapper.cells(key), self._factor).reshape(-1)
+        coarse = self._mapper.coarse(key, self._factor).reshape(-1)
         if (held := self._tiles.get(key)) is None:
             held = self._tiles[key] = np.zeros(len(coarse), model.cell)
         known = model.known(coarse)

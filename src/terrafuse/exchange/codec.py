@@ -63,7 +63,8 @@ def fields_of(dtype: np.dtype[np.void]) -> list[tuple[str, str]]:
 def _column(values: Array) -> bytes:
     """Differences to the value before, bytes transposed."""
     unsigned = values.astype(values.dtype.newbyteorder("<"), copy=False).view(f"<u{values.dtype.itemsize}")
-    differences = np.diff(unsigned, prepend=unsigned.dtype.type(0))
+    differences = unsigned.copy()
+    differences[1:] -= unsigned[:-1]  # np.diff takes four times as long for the few cells of a coarse tile
     return differences.view(np.uint8).reshape(-1, values.dtype.itemsize).T.tobytes()
 
 

@@ -110,12 +110,18 @@ class _Peer:
     said_ns: int = -1
     heard_ns: int = -(1 << 62)
     replica: bool = False
+    robots: int = 0
     held: dict[str, int] = field(default_factory=dict)
     missing: dict[bytes, list[int]] = field(default_factory=dict)
     flights: dict[str, _DeltaFlight] = field(default_factory=dict)
     """By robot."""
     posts: dict[str, _Posted] = field(default_factory=dict)
     """By kind."""
+
+    @property
+    def served(self) -> bool:
+        """Whether it takes contributions, and said all of what it holds."""
+        return self.replica and len(self.held) >= self.robots
 
     def reborn(self, born_ns: int) -> None:
         self.born_ns, self.said_ns = born_ns, -1
@@ -159,6 +165,10 @@ class Courier:
         self._own = None if own is None else Own(own)
         self._only = None if peers is None else frozenset(peers)
         self._held = {} if store is None else {robot: store.revision(robot) for robot in store.robots()}
+        self._lately: dict[str, int] = {}
+        """What was held at the last report,"""
+        self._settled: dict[str, int] = {}
+        """and at the one before: by now, peers said whether they have it from elsewhere."""
         self._peers: dict[str, _Peer] = {}
         self._reassembler = Reassembler(limits, self.counts)
         self._outbox = Outbox(link, self.settings.bytes_per_s, self.counts)
@@ -188,10 +198,12 @@ class Courier:
             self._report_ns = now_ns + round(self.settings.period_s * SECOND_NS)
             self._encoded.clear()
             self._take_own()
+            self._settled, self._lately = self._lately, dict(self._held)
+        told = self._told(self._settled)
         for name in self.reached(now_ns):
             peer = self._peers[name]
             if reporting or name in heard:
-                self._bring(peer, reporting)
+                self._bring(peer, told, reporting)
             self._bring_posts(peer)
         self._summarise(reporting)
         self._outbox.send(now_ns)
@@ -217,7 +229,7 @@ class Courier:
     def behind(self, peer: str) -> dict[str, int]:
         """By robot, how many revisions a peer lacks of what this node would send it; empty: it is level."""
         held = self._peers[peer].held if peer in self._peers else {}
-        lacks = {robot: revision - held.get(robot, 0) for robot, revision in self._offers().items()}
+        lacks = {robot: revision - held.get(robot, 0) for robot, revision in self._told(self._held).items()}
         return {robot: revisions for robot, revisions in lacks.items() if revisions > 0}
 
     # --- what comes ---------------------------------------------------------------------------------------------------
@@ -294,7 +306,7 @@ class Courier:
         if summary.said_ns == peer.said_ns:
             peer.missing.update(summary.missing)
             peer.heard_ns = self._now_ns
-        peer.replica = summary.replica
+        peer.replica, peer.robots = summary.replica, summary.robots
         for robot, revision in summary.held.items():
             if len(peer.held) < MOST_ROBOTS or robot in peer.held:
                 peer.held[robot] = max(revision, peer.held.get(robot, 0))
@@ -313,11 +325,12 @@ class Courier:
     def _recover(self, peer: _Peer) -> None:
         """A peer that holds more of this node's robot than it ever reported, has it from an earlier life of the node.
 
-        Until that came back, the store has a gap before what this life adds.
+        Until that came back, the store has a gap before what this life adds. To the peers that is a life of its own, or
+        they would go by what it said before.
         """
         if self._own is not None and self._own.surpass(peer.held.get(self._own.robot, 0)):
             self._held[self._own.robot] = 0
-            self._unsaid[self._own.robot] = None
+            self._born_ns = self._report_ns = self._now_ns
 
     def _take_own(self) -> None:
         if self._own is None or self._store is None:
@@ -331,20 +344,19 @@ class Courier:
 
     # --- what goes ----------------------------------------------------------------------------------------------------
 
-    def _offers(self) -> Mapping[str, int]:
-        """By robot, up to which revision this node can tell of it."""
-        if self._relay:
-            return self._held
+    def _told(self, held: Mapping[str, int]) -> Mapping[str, int]:
+        """By robot, up to which revision this node tells of it: of its own, and of `held` what it passes on."""
+        relayed = held if self._relay else {}
         if self._own is None:
-            return {}
+            return relayed
         robot = self._own.robot
-        return {robot: self._own.revision if self._store is None else self._held.get(robot, 0)}
+        return {**relayed, robot: self._own.revision if self._store is None else self._held.get(robot, 0)}
 
-    def _bring(self, peer: _Peer, reporting: bool) -> None:
+    def _bring(self, peer: _Peer, told: Mapping[str, int], reporting: bool) -> None:
         """Send the peer what it lacks: all of it when a report is due, else the rest of what was begun, and retries."""
-        if not peer.replica:
+        if not peer.served:
             return
-        for robot, revision in self._offers().items():
+        for robot, revision in told.items():
             held = peer.held.get(robot, 0)
             flight = peer.flights.get(robot)
             if flight is not None and held >= flight.revision:
@@ -416,7 +428,8 @@ class Courier:
         missing = dict(list(self._reassembler.missing().items())[-MOST_UNSAID:])
         state = State({robot: self._held[robot] for robot in robots}, missing, list(self._finished))
         room = self._link.max_frame_bytes - HEADER_BYTES
-        for message in pack(self._born_ns or 0, self._now_ns, self._store is not None, state, room):
+        head = Summary(self._born_ns or 0, self._now_ns, self._store is not None, len(self._held))
+        for message in pack(head, state, room):
             self._outbox.put(outgoing(f"summary/{self.node}", message, self._link.max_frame_bytes))
         self._unsaid.clear()
         self._finished.clear()

@@ -5,6 +5,7 @@ A message is msgpack, an array of
     born_ns     int, when this life of the node began: an older life's summaries no longer count
     said_ns     int, when it was said; messages of one summary have the same
     replica     bool, whether the node takes contributions
+    robots      int, of how many robots it holds something: who did not hear of so many can't know what it lacks
     held        map of robot to revision: it lacks nothing that this robot last changed up to then; robots that are not
                 among them are as they were said before
     missing     array of [id, [first, last, first, last, ...]]: parts that lack of messages that arrived in part
@@ -22,7 +23,7 @@ from terrafuse.errors import CodecError
 
 MOST_GAPS = 64
 """Of one message, in a summary; parts beyond are asked for once these came."""
-FIXED_BYTES = 36
+FIXED_BYTES = 42
 """Of a message without entries, at most."""
 
 
@@ -32,6 +33,7 @@ class Summary(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
     born_ns: int
     said_ns: int
     replica: bool
+    robots: int
     held: dict[str, int] = {}
     missing: list[tuple[bytes, list[int]]] = []
     finished: list[bytes] = []
@@ -50,16 +52,16 @@ class State:
     finished: Iterable[bytes] = ()
 
 
-def pack(born_ns: int, said_ns: int, replica: bool, state: State, room: int) -> list[bytes]:
+def pack(head: Summary, state: State, room: int) -> list[bytes]:
     """The summary as messages of at most `room` bytes, unless one entry alone takes more; at least one message."""
-    messages = [Summary(born_ns, said_ns, replica)]
+    messages = [_begun(head)]
     left = room - FIXED_BYTES
 
     def at_hand(entry: object) -> Summary:
         nonlocal left
         size = len(_encode(entry))
         if size > left and left < room - FIXED_BYTES:
-            messages.append(Summary(born_ns, said_ns, replica))
+            messages.append(_begun(head))
             left = room - FIXED_BYTES
         left -= size
         return messages[-1]
@@ -71,6 +73,10 @@ def pack(born_ns: int, said_ns: int, replica: bool, state: State, room: int) -> 
     for robot, revision in state.held.items():
         at_hand((robot, revision)).held[robot] = revision
     return [_encode(message) for message in messages]
+
+
+def _begun(head: Summary) -> Summary:
+    return Summary(head.born_ns, head.said_ns, head.replica, head.robots, {}, [], [])
 
 
 def unpack(message: bytes) -> Summary:

@@ -215,11 +215,8 @@ class ElevationTile:
         self._reported = since
         return at
 
-    def cells(self) -> Array:
-        out = np.empty(len(self._surface), absorb.CELL)
-        everywhere = np.arange(len(out), dtype=np.int32)
-        absorb.read(self._surface, self._ground, everywhere, out, out.view(absorb.GROUND_OF_CELL))
-        return out
+    def surface(self) -> Array:
+        return self._surface
 
     def put(self, at: Array, cells: Array) -> None:
         given = np.ascontiguousarray(cells)

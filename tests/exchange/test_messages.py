@@ -1,0 +1,132 @@
+"""Summaries and posts as bytes."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from terrafuse.errors import CodecError
+from terrafuse.exchange.posts import MOST_KINDS, Inbox, Post, decode_post, encode_post
+from terrafuse.exchange.summary import MOST_GAPS, State, Summary, pack, unpack
+from tests.exchange.make_golden_exchange import HEAD, POST, STATE, golden_summary, post_parts, summary_parts
+
+GOLDEN_POST = bytes.fromhex(
+    # array of 4
+    "94"
+    # born_ns
+    "cf000000012a05f200"
+    # number
+    "02"
+    # kind
+    "a5726f757465"
+    # payload
+    "c4020102"
+)
+GOLDEN_SUMMARY = bytes.fromhex(
+    # array of 7
+    "97"
+    # born_ns
+    "cf000000012a05f200"
+    # said_ns
+    "cf0000000165a0bc00"
+    # replica
+    "c3"
+    # robots
+    "02"
+    # held: map of 2
+    "82"
+    # r1, 70000
+    "a27231ce00011170"
+    # r2, 3
+    "a2723203"
+    # missing: array of 1: array of 2
+    "9192"
+    # an id
+    "c4076d657373616765"
+    # parts 0 to 3, and 9
+    "9400030909"
+    # finished: array of 1
+    "91"
+    # an id
+    "c407616e6f74686572"
+)
+"""Both made by tests/exchange/make_golden_exchange.py. Bytes that were once written must be read for ever."""
+
+IDS = st.binary(min_size=7, max_size=7)
+
+
+def test_golden_bytes() -> None:
+    assert encode_post(POST) == GOLDEN_POST
+    assert decode_post(GOLDEN_POST) == POST
+    assert golden_summary() == GOLDEN_SUMMARY
+    assert b"".join(part for _, part in post_parts(GOLDEN_POST)) == GOLDEN_POST
+    assert b"".join(part for _, part in summary_parts(GOLDEN_SUMMARY)) == GOLDEN_SUMMARY
+    whole = unpack(GOLDEN_SUMMARY)
+    assert (whole.held, dict(whole.missing), whole.finished) == (STATE.held, STATE.missing, STATE.finished)
+    assert (whole.born_ns, whole.said_ns, whole.replica, whole.robots) == (5 * 10**9, 6 * 10**9, True, 2)
+
+
+@given(
+    held=st.dictionaries(st.text(min_size=1, max_size=30), st.integers(0, 2**32 - 1), max_size=60),
+    missing=st.dictionaries(IDS, st.lists(st.integers(0, 2**16 - 1), max_size=10), max_size=10),
+    finished=st.lists(IDS, unique=True, max_size=20),
+    room=st.integers(170, 400),
+)
+def test_messages_of_a_summary_fit_and_hold_all_of_it(
+    held: dict[str, int], missing: dict[bytes, list[int]], finished: list[bytes], room: int
+) -> None:
+    messages = pack(HEAD, State(held, missing, finished), room)
+    assert all(len(message) <= room for message in messages)
+    parts = [unpack(message) for message in messages]
+    assert {robot: revision for part in parts for robot, revision in part.held.items()} == held
+    assert {id_: gaps for part in parts for id_, gaps in part.missing} == missing
+    assert [id_ for part in parts for id_ in part.finished] == finished
+    assert {(part.born_ns, part.said_ns, part.replica, part.robots) for part in parts} == {
+        (HEAD.born_ns, HEAD.said_ns, HEAD.replica, HEAD.robots)
+    }
+
+
+def test_a_summary_asks_for_so_many_gaps_at_most() -> None:
+    (message,) = pack(HEAD, State(missing={b"message": list(range(1000))}), 1000)
+    assert unpack(message).missing == [(b"message", list(range(MOST_GAPS)))]
+
+
+@given(st.binary(max_size=60))
+def test_other_bytes_are_refused(message: bytes) -> None:
+    for read, kind in ((unpack, Summary), (decode_post, Post)):
+        with suppress(CodecError):
+            assert isinstance(read(message), kind)
+
+
+@given(cut=st.integers(0, 50))
+def test_cut_messages_are_refused(cut: int) -> None:
+    with pytest.raises(CodecError):
+        unpack(GOLDEN_SUMMARY[:cut])
+    with pytest.raises(CodecError):
+        decode_post(GOLDEN_POST[: min(cut, len(GOLDEN_POST) - 1)])
+
+
+def test_only_what_is_newer_is_new() -> None:
+    inbox = Inbox()
+
+    def is_new(sender: str, born_ns: int, number: int, kind: str = "x") -> bool:
+        return inbox.is_new(sender, Post(born_ns, number, kind, b""))
+
+    assert is_new("a", 5, 2)
+    assert not is_new("a", 5, 2)
+    assert not is_new("a", 5, 1)
+    assert is_new("a", 5, 1, "y")
+    assert is_new("b", 5, 1)
+    assert is_new("a", 6, 1)  # a later life counts from 1 again
+    assert not is_new("a", 5, 3)
+
+
+def test_what_is_remembered_of_posts_is_bounded() -> None:
+    inbox = Inbox()
+    for k in range(MOST_KINDS + 1):
+        inbox.is_new("a", Post(1, 1, str(k), b""))
+    assert inbox.is_new("a", Post(1, 1, "0", b""))
+    assert not inbox.is_new("a", Post(1, 1, str(MOST_KINDS), b""))

@@ -51,9 +51,16 @@ def write_picture(
 
 
 def draw_subject(
-    path: Path | str, choose: Callable[[], Subject], paths: Mapping[str, Any] | None = None, title: str | None = None
+    path: Path | str,
+    choose: Callable[[], Subject],
+    paths: Mapping[str, Any] | None = None,
+    title: str | None = None,
+    marks: Mapping[str, tuple[float, float]] | None = None,
 ) -> None:
-    """Write a PNG of what `choose` gives, which is asked when it is sure that pictures can be made."""
+    """Write a PNG of what `choose` gives, which is asked when it is sure that pictures can be made.
+
+    `marks`: places with a name, east and north.
+    """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -67,6 +74,8 @@ def draw_subject(
     axes = _draw_map(figure, sheet, subject)
     for chip, track in zip(chips, (paths or {}).values(), strict=True):
         _draw_path(axes, np.asarray(track, np.float64).reshape(-1, 2), chip.colour)
+    for name, place in (marks or {}).items():
+        _draw_mark(axes, name, place)
     _draw_frame(figure, sheet, subject, title or subject.layer.name, chips)
     with final(path) as temporary:
         figure.savefig(temporary, format="png", dpi=DPI)
@@ -91,6 +100,8 @@ class Subject:
     west: float
     south: float
     look: Look
+    colours: Any = None
+    """(H, W, 3 or 4) to be shown instead of the values in the look's; there is no colour bar then."""
 
     @property
     def step_m(self) -> float:
@@ -121,7 +132,9 @@ def _draw_map(figure: Figure, sheet: Sheet, subject: Subject) -> Axes:
     look, image = subject.look, subject.image
     axes.set_facecolor(look.unknown)
     values = image[~np.isnan(image)]
-    if len(values):
+    if subject.colours is not None:
+        axes.imshow(subject.colours, origin="lower", extent=subject.extent, interpolation="nearest", aspect="auto")
+    elif len(values):
         norm = look.scale(values)
         colours = painted(image, look, norm, hillshade(image, subject.step_m) if look.shaded else None)
         axes.imshow(colours, origin="lower", extent=subject.extent, interpolation="nearest", aspect="auto")
@@ -216,6 +229,15 @@ def _draw_path(axes: Axes, track: Floats, colour: str) -> None:
             linestyle="none",
             zorder=4,
         )
+
+
+def _draw_mark(axes: Axes, name: str, place: tuple[float, float]) -> None:
+    from matplotlib.patheffects import Normal, Stroke
+
+    axes.plot(*place, marker="^", markersize=11, color=INK, markeredgecolor="white", markeredgewidth=1.5, zorder=5)
+    casing = [Stroke(linewidth=3.0, foreground="white"), Normal()]
+    text = axes.annotate(name, place, (9, 0), textcoords="offset points", **SMALL | {"color": INK}, zorder=5)
+    text.set_path_effects(casing)
 
 
 def _draw_frame(figure: Figure, sheet: Sheet, subject: Subject, title: str, chips: list[Chip]) -> None:

@@ -62,8 +62,8 @@ class Mission:
         self.now_s = 0.0
         self._tick = 0
         self._files = ExitStack()
-        self.lattice = _lattice(loaded)
-        self.model = _model(loaded)
+        self.lattice = lattice_of(loaded)
+        self.model = model_of(loaded)
         self.store = store or MemoryStore(self.lattice, self.model)
         self.prior, coarse = self._known_before(folder)
         self.caster = RayCaster(self.world)
@@ -213,7 +213,8 @@ class Mission:
             self.station.order(vehicle.name, ROUTE, route.round(3).tolist())
 
 
-def _lattice(loaded: Loaded) -> Lattice:
+def lattice_of(loaded: Loaded) -> Lattice:
+    """Of the robots' maps. Raises InputError with the line."""
     part = loaded.scenario.map
     try:
         lattice = Lattice(part.resolution_m, part.tile_m or default_tile_m(part.resolution_m), loaded.world.crs)
@@ -224,7 +225,8 @@ def _lattice(loaded: Loaded) -> Lattice:
     return lattice
 
 
-def _model(loaded: Loaded) -> Any:
+def model_of(loaded: Loaded) -> Any:
+    """Likewise, their cell model."""
     part = loaded.scenario.map
     try:
         return make_model(part.model, part.settings)

@@ -1,10 +1,12 @@
-"""python -m bench.physics [--json FILE] [--seconds S]: robots with real physics in the village, on one thread.
+"""python -m bench.physics [--json FILE] [--seconds S]: robots with real physics.
 
-Summit XLs go to and fro on streets at 1.5 m/s among 781 houses and all that moves. How many seconds of theirs pass in a
-second of the processor's, for 3 and 10 of them, for steps of 5 and 2 ms and commands 10 and 50 times a second; and how
-long the village takes to be taken in.
+How fast: Summit XLs go to and fro on streets at 1.5 m/s among the village's 781 houses and all that moves, on one
+thread. How many seconds of theirs pass in a second of the processor's, for 3 and 10 of them, for steps of 5 and 2 ms
+and commands 10 and 50 times a second; and how long the village takes to be taken in. Times are the thread's own
+(processor time), so that others on the machine count less.
 
-Times are the thread's own (processor time), so that others on the machine count less.
+How true: what speed and yaw rate each body keeps on level ground, against what it is told; and on the village's ground,
+how far its height and tilt are from those of the plane under its wheels, on which `motion` puts it.
 """
 
 from __future__ import annotations
@@ -16,14 +18,17 @@ import numpy as np
 
 from bench.report import parser, tell
 from bench.simulate_rays import timed
-from terrafuse.simulate.motion import BODIES, Ground, State, placed
+from terrafuse.simulate.motion import BODIES, Command, Ground, State, placed, step
 from terrafuse.simulate.physics import Physics, PhysicsSettings
 from terrafuse.simulate.routes import Routes, at_start, pursue, routes_of
+from terrafuse.simulate.terrain import flat
 from terrafuse.simulate.world import World
 from terrafuse.simulate.worlds.village import village
+from terrafuse.types import Bounds
 
 BODY = BODIES["summit_xl"]
-ROBOTS, STEPS_S, RATES_HZ, SPEED_MPS = (3, 10), (0.004, 0.002), (10, 50), 1.5
+LEVEL = Bounds(-50.0, -50.0, 50.0, 50.0)
+ROBOTS, STEPS_S, RATES_HZ, SPEED_MPS = (3, 10), (0.005, 0.002), (10, 50), 1.5
 
 
 def started(world: World, count: int) -> tuple[State, Routes]:
@@ -55,6 +60,62 @@ def run(world: World, count: int, settings: PhysicsSettings, rate_hz: int, secon
     }
 
 
+def steady(body: str, speed_mps: float, yaw_rate_radps: float) -> tuple[float, float]:
+    """Speed and yaw rate of one on level ground, over the last 2 of 5 s."""
+    world = World("level", LEVEL, flat(LEVEL))
+    state = placed(Ground(world.terrain.height), BODIES[body], [(0.0, 0.0)], [0.0])
+    physics, command = Physics(world, {"r": body}, {"r": state}), told(speed_mps, yaw_rate_radps)
+    states = [physics.step({"r": command}, 0.1, k * 0.1)["r"] for k in range(50)][30:]
+    return tuple(float(np.mean([getattr(s, of)[0] for s in states])) for of in ("speed_mps", "yaw_rate_radps"))
+
+
+def told(speed_mps: float, yaw_rate_radps: float) -> Command:
+    return Command(np.array([speed_mps]), np.array([yaw_rate_radps]), 3.0)
+
+
+def errors() -> dict[str, Any]:
+    """Of each body, in percent of what it is told: speed straight ahead, yaw rate on the spot, both on a curve."""
+    out = {}
+    for name, body in BODIES.items():
+        speed, turn = min(body.max_speed_mps, 1.0), min(body.max_yaw_rate_radps, 1.0)
+        half = steady(name, speed / 2, turn / 2)
+        out[name] = {
+            "speed_percent": percent(steady(name, speed, 0.0)[0], speed),
+            "slow_turn_percent": percent(steady(name, 0.0, 0.1)[1], 0.1),
+            "turn_percent": percent(steady(name, 0.0, turn)[1], turn),
+            "curve_speed_percent": percent(half[0], speed / 2),
+            "curve_turn_percent": percent(half[1], turn / 2),
+        }
+    fast = steady("summit_xl", 2.0, 1.2)
+    out["summit_xl"] |= {"fast_curve_percent": [percent(fast[0], 2.0), percent(fast[1], 1.2)]}
+    return out
+
+
+def percent(is_: float, wanted: float) -> float:
+    return round(100 * (is_ / wanted - 1), 2)
+
+
+def on_the_ground(world: World, seconds: float) -> dict[str, float]:
+    """Over ten robots on streets: their height above the ground under their middle, and their tilt against the plane of
+    their wheels; and how far off they would have ended by the same commands without forces."""
+    ground = Ground(world.terrain.height)
+    state, routes = started(world, 10)
+    physics, progress, off, other = Physics(world, {"r": "summit_xl"}, {"r": state}), at_start(routes), [], state
+    for k in range(round(seconds * 10)):
+        command, progress = pursue(state, routes, progress, BODY, SPEED_MPS)
+        state, other = physics.step({"r": command}, 0.1, k * 0.1)["r"], step(other, command, 0.1, ground, BODY)
+        plane = placed(ground, BODY, state.position_m[:, :2], state.yaw_rad)
+        z_m = state.position_m[:, 2] - plane.position_m[:, 2]
+        off.append(np.column_stack([z_m, state.roll_rad - plane.roll_rad, state.pitch_rad - plane.pitch_rad]))
+    all_ = np.concatenate(off) * [1e3, np.degrees(1), np.degrees(1)]
+    names = "height_mm", "roll_deg", "pitch_deg"
+    return {
+        **{f"{name}_rms": float(v) for name, v in zip(names, np.sqrt((all_**2).mean(axis=0)), strict=True)},
+        **{f"{name}_most": float(v) for name, v in zip(names, np.abs(all_).max(axis=0), strict=True)},
+        "without_forces_apart_m": float(np.hypot(*(state.position_m - other.position_m)[:, :2].T).mean()),
+    }
+
+
 def measure(seconds: float) -> dict[str, Any]:
     world, made_s = timed(lambda: village(0))
     state, _ = started(world, 1)
@@ -73,6 +134,8 @@ def measure(seconds: float) -> dict[str, Any]:
         "seconds_to_make": made_s,
         "seconds_to_take_in": taken_s,
         "runs": runs,
+        "errors": errors(),
+        "off_the_plane_of_wheels": on_the_ground(world, seconds),
     }
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
 import sys
 from dataclasses import fields
 from math import atan, pi
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -340,6 +343,14 @@ def test_the_rate_of_commands_changes_little(rate_hz: int) -> None:
     assert state.position_m[0] == pytest.approx(usual.position_m[0], abs=0.01)
 
 
+def test_the_python_of_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    """5 s at 1 m/s, of which the first 1/1.5 s went by in speeding up: 5 - 1/3 m."""
+    page = (Path(__file__).parents[2] / "docs" / "simulator.md").read_text()
+    (code,) = (block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "Physics" in block)
+    exec(compile(code, "simulator.md", "exec"), {})
+    assert capsys.readouterr().out.split("]")[0] == "[4.7 0. "
+
+
 # Mistakes
 
 
@@ -368,3 +379,9 @@ def test_without_mujoco_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(MissingExtra, match=r"needs the package 'mujoco-core': pip install 'terrafuse\[sim\]'"):
         alone(LEVEL, "summit_xl")
+
+
+def test_mujoco_is_loaded_with_the_first_robots() -> None:
+    program = "import sys, terrafuse.simulate.physics; print('mujoco' in sys.modules)"
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == "False"

@@ -96,15 +96,15 @@ class Physics:
         ticks = ceil(dt_s / self._settings.control_s - 1e-9)
         steps = ceil(dt_s / ticks / self._settings.step_s - 1e-9)
         self._model.opt.timestep = dt_s / ticks / steps
-        touched = []
+        touched = [self._touched()]
         for positions, quaternions in zip(*self._traffic.between(time_s, time_s + dt_s, ticks), strict=True):
             self._data.mocap_pos[:], self._data.mocap_quat[:] = positions, quaternions
-            touched.append(self._tick(commands, dt_s / ticks, steps))
-        return self.states(np.concatenate(touched))
+            touched.append(self._tick(commands, dt_s / ticks, steps, touched[-1]))
+        return self.states(np.concatenate(touched[1:]))
 
-    def _tick(self, commands: Mapping[str, Command], tick_s: float, steps: int) -> Array:
+    def _tick(self, commands: Mapping[str, Command], tick_s: float, steps: int, touched: Array) -> Array:
         for name, fleet in self._fleets.items():
-            fleet.drive(self._data, commands[name], tick_s)
+            fleet.drive(self._data, commands[name], tick_s, touched)
         mujoco().mj_step(self._model, self._data, nstep=steps)
         self._check()
         return self._touched()

@@ -17,7 +17,7 @@ from terrafuse.simulate.terrain import Terrain
 from terrafuse.types import Array, Floats
 
 LAG_S = 0.4
-"""What is held does not wind up: a robot is never told a speed that it could not reach within this time."""
+"""A robot that touches something is told no speed that it could not reach within this time: it soon turns back."""
 
 
 class Fleet:
@@ -55,11 +55,12 @@ class Fleet:
         sunk = self._ground.height(feet[..., 0], feet[..., 1]) - feet[..., 2]
         return np.outer(np.fmax.reduce(sunk, axis=1).clip(0), [0, 0, 1])
 
-    def drive(self, data: Any, command: Command, dt_s: float) -> None:
+    def drive(self, data: Any, command: Command, dt_s: float, touched: Array) -> None:
         """Tell them what to do for the next moment: what is commanded, as fast as they speed up."""
         moving, limits = self.moving(data), self._limits
-        speed = _near(self._speed_mps, moving.speed_mps, limits.max_mps2 * LAG_S)
-        yaw_rate = _near(self._yaw_rate_radps, moving.yaw_rate_radps, limits.max_yaw_radps2 * LAG_S)
+        slack_s = np.where(np.isin(self._places.bodies, touched), LAG_S, np.inf)
+        speed = _near(self._speed_mps, moving.speed_mps, limits.max_mps2 * slack_s)
+        yaw_rate = _near(self._yaw_rate_radps, moving.yaw_rate_radps, limits.max_yaw_radps2 * slack_s)
         self._speed_mps, self._yaw_rate_radps = within_limits(speed, yaw_rate, command, dt_s, limits)
         now = Command(self._speed_mps, self._yaw_rate_radps, command.altitude_m)
         self._machine.drive(data, self._places, moving, now, limits, self._below)
@@ -95,7 +96,7 @@ def _places(model: Any, names: list[str], motors: int) -> Places:
     )
 
 
-def _near(value: Floats, middle: Floats, most: float) -> Floats:
+def _near(value: Floats, middle: Floats, most: Floats) -> Floats:
     return np.clip(value, middle - most, middle + most)
 
 

@@ -35,28 +35,29 @@ class Node:
     settings: CourierSettings = QUICK
     model: Model = MODEL
     mapper: Mapper | None = None
+    """Of a robot, once it started."""
     posts: dict[tuple[str, str], list[bytes]] = field(default_factory=dict)
     """What came, by sender and kind."""
 
     def start(self, link: Link, *, keep_map: bool = False, keep_store: bool = False) -> None:
         """Begin a life, with what is kept of the one before."""
-        if not keep_map or self.mapper is None:
+        if self.name != STATION and not (keep_map and self.mapper):
             self.mapper = Mapper(self.name, LATTICE, self.model)
         if not keep_store:
             self.replica = Replica(LATTICE.coarser(FACTOR), self.model)
         self.posts = {}
         self.link = link
-        self.own = CoarseContribution(self.mapper, FACTOR)
-        own = None if self.name == STATION else self.own
+        self.own = None if self.mapper is None else CoarseContribution(self.mapper, FACTOR)
         self.courier = Courier(
-            link, self.replica.store, own, peers=self.peers, relay=self.relay, on_message=self._heard,
+            link, self.replica.store, self.own, peers=self.peers, relay=self.relay, on_message=self._heard,
             settings=self.settings,
         )  # fmt: skip
 
     def step(self, now_ns: int, scanning: bool) -> None:
-        if scanning and (scan := next(self.scans, None)) is not None and self.mapper is not None:
-            self.mapper.integrate(scan)
-        self.own.update()
+        if self.mapper is not None and self.own is not None:
+            if scanning and (scan := next(self.scans, None)) is not None:
+                self.mapper.integrate(scan)
+            self.own.update()
         self.courier.tick(now_ns)
 
     def _heard(self, sender: str, kind: str, payload: bytes) -> None:
@@ -94,7 +95,7 @@ def undisturbed(nodes: dict[str, Node]) -> Replica:
     """The map of the robots' own ones, coarsened: what every replica comes to."""
     fine = Replica(LATTICE, next(iter(nodes.values())).model)
     for node in nodes.values():
-        if node.mapper is not None and node.name != STATION:
+        if node.mapper is not None:
             fine.apply(node.mapper.delta())
     return Replica(store=fine.store, factor=FACTOR)
 

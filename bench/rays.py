@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from bench.report import parser, tell
-from terrafuse.kernels.rays import Tracer, trace_reference
+from terrafuse.kernels.rays import trace_reference
+from terrafuse.kernels.traced import Tracer
 from terrafuse.lattice import Lattice
 from terrafuse.logs import open_log
 from terrafuse.mapper import Mapper
@@ -90,7 +91,7 @@ def segments(scan: Scan) -> tuple[Floats, Any]:
 def crossings(ends: Floats, cells_per_m: float) -> int:
     """How many cells rays cross, each ray by itself."""
     alone, no = Tracer(cells_per_m, LATTICE.tile_cells), np.zeros(1, bool)
-    return sum(len(alone(ray[None], no).at) for ray in ends)
+    return sum(alone(ray[None], no).cells for ray in ends)
 
 
 def mapper_of(scans: list[Scan], lattice: Lattice) -> Works:

@@ -70,6 +70,13 @@ def test_an_observer_is_empty_between_scans() -> None:
         np.testing.assert_array_equal(got, records)
 
 
+@pytest.mark.parametrize("tile_cells", [1, 31, 33])
+def test_tiles_of_few_cells(tile_cells: int) -> None:
+    """Of 31 cells and less, the window meets more than are tabled."""
+    points = np.random.default_rng(3).normal(0, 30, (3000, 3))
+    assert_equals_reference(Scan(0, points, Pose.identity()), Lattice(0.5, 0.5 * tile_cells))
+
+
 def test_points_on_borders_and_negative_coordinates() -> None:
     grid = np.arange(-30, 31) * 0.1
     x, y = (a.ravel() for a in np.meshgrid(grid, grid))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from fractions import Fraction
 from itertools import product
 from math import ceil, floor
@@ -15,11 +16,11 @@ from terrafuse.kernels.rays import (
     MAX_RAY_CELLS,
     MAX_SPREAD_CELLS,
     SUBCELLS,
-    Tracer,
     crossed_reference,
     extent,
     trace_reference,
 )
+from terrafuse.kernels.traced import LISTED_CELLS, Tracer
 from terrafuse.types import Array
 
 Cells = list[tuple[int, int]]
@@ -32,13 +33,18 @@ def traced(
 ) -> tuple[Cells, Cells]:
     """(hit, crossed) cells, by tile in the order in which they come."""
     tracer = tracer or Tracer(cells_per_m, side)
-    keys, starts, at, hit = tracer(np.asarray(ends, np.float64).reshape(-1, 4), np.asarray(marks, bool))
-    assert len(set(map(tuple, keys.tolist()))) == len(keys), "each tile once"
-    assert (np.diff(starts) > 0).all(), "no tile in vain"
-    low = np.repeat(keys, np.diff(starts), axis=0) * side
-    cells = [(int(i), int(j)) for i, j in zip(low[:, 0] + at % side, low[:, 1] + at // side, strict=True)]
-    return [cell for cell, end in zip(cells, hit, strict=True) if end], [
-        cell for cell, end in zip(cells, hit, strict=True) if not end
+    found = tracer(np.asarray(ends, np.float64).reshape(-1, 4), np.asarray(marks, bool))
+    assert len(set(map(tuple, found.keys.tolist()))) == len(found.keys), "each tile once"
+    assert (found.counts > 0).all(), "no tile in vain"
+    cells, hits = [], []
+    for t, (x, y) in enumerate(found.keys.tolist()):
+        at, hit = found.part(t)
+        assert len(at) == len(hit) == found.counts[t]
+        cells += zip((x * side + at % side).tolist(), (y * side + at // side).tolist(), strict=True)
+        hits += hit.tolist()
+    assert len(cells) == found.cells
+    return [cell for cell, end in zip(cells, hits, strict=True) if end], [
+        cell for cell, end in zip(cells, hits, strict=True) if not end
     ]
 
 
@@ -54,11 +60,16 @@ coordinates = st.one_of(anywhere, on_borders)
 segments = st.lists(st.tuples(*[coordinates] * 4, st.booleans()), min_size=1, max_size=6)
 
 
-@given(segments, st.sampled_from([1.0, 4.0, 10.0]), st.sampled_from([0.0, 500_000.0]))
-def test_rays_equal_their_reference(drawn: list[tuple[float, ...]], cells_per_m: float, away_m: float) -> None:
+@given(
+    segments, st.sampled_from([1.0, 4.0, 10.0]), st.sampled_from([0.0, 500_000.0]), st.sampled_from([2, 64, 1 << 21])
+)
+def test_rays_equal_their_reference(
+    drawn: list[tuple[float, ...]], cells_per_m: float, away_m: float, listed: int
+) -> None:
+    """Whether their cells are listed, or too many for that."""
     rows = np.array(drawn, np.float64)
     ends, marks = rows[:, :4] + away_m, rows[:, 4].astype(bool)
-    hits, others = traced(ends, marks, cells_per_m)
+    hits, others = traced(ends, marks, cells_per_m, Tracer(cells_per_m, SIDE, listed))
     assert len(set(hits + others)) == len(hits + others), "each cell once"
     assert (set(hits), set(others)) == trace_reference(ends, marks, cells_per_m)
 
@@ -140,12 +151,30 @@ def test_hits_come_before_misses_and_each_cell_once() -> None:
     assert sorted(others) == [(0, 0), (1, 0), (2, 1), (2, 2), (2, 3), (3, 0), (4, 0)]
 
 
-def test_one_scan_leaves_nothing_to_the_next() -> None:
-    tracer = Tracer(10.0, SIDE)
+@pytest.mark.parametrize("listed", [512, LISTED_CELLS])
+def test_one_scan_leaves_nothing_to_the_next(listed: int) -> None:
+    """Of 512 cells, those of the larger ones are not listed."""
+    tracer = Tracer(10.0, SIDE, listed)
     rng = np.random.default_rng(0)
     for reach in (2.0, 30.0, 1.0, 12.0):
         ends, marks = rng.uniform(-reach, reach, (20, 4)), rng.random(20) < 0.5
-        assert traced(ends, marks, 10.0, tracer) == traced(ends, marks, 10.0)
+        found, expected = traced(ends, marks, 10.0, tracer), traced(ends, marks, 10.0)
+        assert [*map(sorted, found)] == [*map(sorted, expected)]
+
+
+def test_what_a_scan_holds_is_bounded() -> None:
+    """4000 rays of 200 m in cells of 0.1 m cross 8 million cells, of 16 million in the window.
+
+    A byte for each of these, rounded up to a power of two, and 4 bytes for each of 2²¹ in the list.
+    """
+    angle = np.linspace(0, 2 * np.pi, 4000, endpoint=False)
+    ends = np.column_stack([0 * angle, 0 * angle, 200 * np.cos(angle), 200 * np.sin(angle)])
+    tracemalloc.start()
+    found = Tracer(10.0, 400)(ends, np.ones(len(ends), bool))
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert found.cells > LISTED_CELLS
+    assert 4001**2 < most < 2**24 + 4 * LISTED_CELLS + 1_000_000
 
 
 def test_a_scan_without_rays() -> None:
@@ -153,7 +182,7 @@ def test_a_scan_without_rays() -> None:
 
 
 def test_the_longest_rays_that_a_scan_may_hold() -> None:
-    """All around from the furthest that origins may lie apart: it takes a byte a cell of the window, 105 MB."""
+    """All around from the furthest that origins may lie apart: a byte a cell of the window, 105 MB, is most of it."""
     angle = np.linspace(0, 2 * np.pi, 64, endpoint=False)
     away = MAX_SPREAD_CELLS * np.sign(np.sin(3 * angle))
     around = MAX_RAY_CELLS * np.column_stack([np.cos(angle), np.sin(angle)])

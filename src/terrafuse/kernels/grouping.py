@@ -8,10 +8,43 @@ from numba import njit
 from terrafuse.types import Array
 
 
+@njit(inline="always")
+def tile_number(x, y, tiles, seats, keys):
+    """The number of the tile (x, y) among the `tiles` that were met; `tiles` itself if it is new, and then it is noted.
+
+    `seats` is an open hash table of tile numbers, -1 where free, a power of two long and never full.
+    """
+    mask = np.uint64(seats.shape[0] - 1)
+    seat = (np.uint64(x) * np.uint64(0x9E3779B97F4A7C15) ^ np.uint64(y) * np.uint64(0xC2B2AE3D27D4EB4F)) & mask
+    while seats[seat] >= 0 and (keys[seats[seat], 0] != x or keys[seats[seat], 1] != y):
+        seat = (seat + np.uint64(1)) & mask
+    if seats[seat] < 0:
+        seats[seat] = tiles
+        keys[tiles, 0], keys[tiles, 1] = x, y
+    return seats[seat]
+
+
+@njit(nogil=True)
+def table_size(tiles):
+    """How long `seats` is for so many tiles."""
+    size = 2
+    while size <= 2 * tiles:
+        size *= 2
+    return size
+
+
+@njit(inline="always")
+def add_up(starts, tiles):
+    """Cells of each tile in starts[1:] → where each tile's cells start; returns a copy to count on from."""
+    starts[0] = 0
+    for t in range(tiles):
+        starts[t + 1] += starts[t]
+    return starts[:tiles].copy()
+
+
 @njit(cache=True, nogil=True)
 def _group(i, j, side, seats, keys, starts, tile_of, at, order):
-    """`seats` is an open hash table of tile numbers, a power of two long and all -1. Returns the number of tiles."""
-    mask = np.uint64(seats.shape[0] - 1)
+    """Returns the number of tiles. `starts` is all 0."""
     tiles = 0
     tile = -1
     low_i = low_j = np.int64(0)
@@ -22,23 +55,12 @@ def _group(i, j, side, seats, keys, starts, tile_of, at, order):
             x, y = i[k] // side, j[k] // side
             low_i, low_j = x * side, y * side
             in_i, in_j = i[k] - low_i, j[k] - low_j
-            seat = (np.uint64(x) * np.uint64(0x9E3779B97F4A7C15) ^ np.uint64(y) * np.uint64(0xC2B2AE3D27D4EB4F)) & mask
-            while seats[seat] >= 0 and (keys[seats[seat], 0] != x or keys[seats[seat], 1] != y):
-                seat = (seat + np.uint64(1)) & mask
-            if seats[seat] < 0:
-                seats[seat] = tiles
-                keys[tiles, 0] = x
-                keys[tiles, 1] = y
-                starts[tiles + 1] = 0
-                tiles += 1
-            tile = seats[seat]
+            tile = tile_number(x, y, tiles, seats, keys)
+            tiles += tile == tiles
         tile_of[k] = tile
         starts[tile + 1] += 1
         at[k] = in_j * side + in_i
-    starts[0] = 0
-    for t in range(tiles):
-        starts[t + 1] += starts[t]
-    cursor = starts[:tiles].copy()
+    cursor = add_up(starts, tiles)
     for k in range(i.shape[0]):
         order[cursor[tile_of[k]]] = k
         cursor[tile_of[k]] += 1
@@ -53,7 +75,7 @@ def by_tile(i: Array, j: Array, tile_cells: int) -> tuple[Array, Array, Array, A
     """
     count = len(i)
     most = min(count, _across(i, tile_cells) * _across(j, tile_cells))
-    seats = np.full(1 << max(1, 2 * most).bit_length(), -1, np.int64)
+    seats = np.full(table_size(most), -1, np.int32)
     keys, starts = np.empty((most, 2), np.int64), np.zeros(most + 1, np.int64)
     tile_of, order = np.empty(count, np.int64), np.empty(count, np.int64)
     at = np.empty(count, np.int32)

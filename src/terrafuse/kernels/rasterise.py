@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from terrafuse.kernels.evidence import EVIDENCE, MAX_Z_M, TICKS_PER_M, Z_NONE_MAX, Z_NONE_MIN, empty, hit, ticks
+from terrafuse.kernels.grouping import table_size, tile_number
 from terrafuse.kernels.memory import DISTANCE, prefetch
 from terrafuse.lattice import MAX_CELL
 from terrafuse.types import Array, Floats
@@ -35,6 +36,9 @@ DROP_REASONS = (
     "beyond the lattice",
 )
 COUNTERS = len(DROP_REASONS) + 1
+
+TABLED = 1 << 14
+"""Tiles that are looked up in a table of all; of more, in one of those that are hit."""
 
 
 class Patchwork(NamedTuple):
@@ -215,8 +219,6 @@ def divide(places, records, count, i0, j0, tile_cells, keys, tile_of, at):
     flat position j·tile_cells + i in the tile to `at`.
     """
     tile0_x, tile0_y = i0 // tile_cells, j0 // tile_cells
-    across = WINDOW // tile_cells + 2
-    order = np.full(across * across, -1, np.int32)
     x, column = split(i0 - tile0_x * tile_cells, tile_cells)
     y, row = split(j0 - tile0_y * tile_cells, tile_cells)
     tiles = 0
@@ -226,16 +228,22 @@ def divide(places, records, count, i0, j0, tile_cells, keys, tile_of, at):
             places[k] = places[count]
             records[k] = records[count]
             break
+    across = WINDOW // tile_cells + 2
+    # Of tiles of few cells, a table of all that the window meets would cost more than the scan.
+    small = across * across > TABLED
+    seats = np.full(table_size(count) if small else across * across, -1, np.int32)
     for k in range(count):
         wi, wj = cell_at(places[k])
-        seat = y[wj] * across + x[wi]
-        tile = order[seat]
-        if tile < 0:
-            tile = tiles
-            order[seat] = tile
-            keys[tile, 0] = tile0_x + x[wi]
-            keys[tile, 1] = tile0_y + y[wj]
-            tiles += 1
+        tile_x, tile_y = tile0_x + x[wi], tile0_y + y[wj]
+        if small:
+            tile = tile_number(tile_x, tile_y, tiles, seats, keys)
+        else:
+            tile = seats[y[wj] * across + x[wi]]
+            if tile < 0:
+                tile = tiles
+                seats[y[wj] * across + x[wi]] = tile
+                keys[tile, 0], keys[tile, 1] = tile_x, tile_y
+        tiles += tile == tiles
         tile_of[k] = tile
         at[k] = row[wj] * tile_cells + column[wi]
     return tiles, count

@@ -14,7 +14,6 @@ from __future__ import annotations
 from fractions import Fraction
 from itertools import pairwise
 from math import ceil, floor
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -70,22 +69,27 @@ def extent(ends, cells_per_m):
     return i0, j0, width, height, min(cells, width * height)
 
 
+CROSSED, HIT = np.uint8(1), np.uint8(2)
+
+
 @njit(cache=True, nogil=True)
 def trace(ends, marks, cells_per_m, i0, j0, width, seen, places):
     """Hits first, then what the segments (K, 4) cross: each cell of the window once.
 
-    Writes window indices (j - j0)·width + (i - i0) to `places`, which has room for one more than there can be; returns
-    (how many are hits, how many in all). A segment with marks[k] hits the cell that holds its end. `seen`, a byte a
-    cell, is all 0, and 1 afterwards where `places` says.
+    A segment with marks[k] hits the cell that holds its end. `seen`, a byte a cell of the window, is all 0; afterwards
+    it has HIT (with CROSSED or without) or CROSSED. `places`, a power of two long, gets the window indices
+    (j - j0)·width + (i - i0) of these cells, if it is longer than they are many; else it is of no use.
+    Returns (how many are hits, how many in all).
     """
-    count = 0
+    mask = np.uint64(places.shape[0] - 1)
+    count = np.uint64(0)
     for k in range(ends.shape[0]):
         if marks[k]:
             i = (subcell(ends[k, 2], cells_per_m) >> SUBCELL_BITS) - i0
             j = (subcell(ends[k, 3], cells_per_m) >> SUBCELL_BITS) - j0
-            places[count] = j * width + i
-            count += seen[j * width + i] == 0
-            seen[j * width + i] = 1
+            places[count & mask] = j * width + i
+            count += np.uint64(seen[j * width + i] == 0)
+            seen[j * width + i] = HIT
     hits = count
     for k in range(ends.shape[0]):
         x0, x1 = subcell(ends[k, 0], cells_per_m), subcell(ends[k, 2], cells_per_m)
@@ -102,118 +106,17 @@ def trace(ends, marks, cells_per_m, i0, j0, width, seen, places):
         place = np.uint64((j - j0) * width + (i - i0))
         while True:
             # Without a branch on "seen": about half of the cells are, in no order that a processor could guess.
-            places[count] = place
-            count += seen[place] == 0
-            seen[place] = 1
+            before = seen[place]
+            places[count & mask] = place
+            count += np.uint64(before == 0)
+            seen[place] = before | CROSSED
             if left <= 0:
                 break
             in_x, in_y = np.int64(later <= 0), np.int64(later >= 0)
             place = np.uint64(np.int64(place) + in_x * east + in_y * north)
             later += in_x * over_x - in_y * over_y
             left -= in_x + in_y
-    return hits, count
-
-
-@njit(cache=True, nogil=True)
-def group(places, hits, i0, j0, width, side, seen, seats, across, keys, starts, tile_of, at, hit):
-    """Window indices (K,) → flat positions in tiles, by tile: writes keys, starts, at and hit as `Traced` has them.
-
-    `seats` (across · …), all -1, covers the tiles that the window meets. `places` are used up, `seen` is all 0 again.
-    Returns the number of tiles.
-    """
-    per_column = 1.0 / width
-    tile0_x, tile0_y = i0 // side, j0 // side
-    tiles, tile = 0, -1
-    low_i = low_j = np.int64(0)
-    for k in range(places.shape[0]):
-        place = places[k]
-        seen[place] = 0
-        # (n + ½)/width is never within rounding of a whole number: this is the integer division, which is slower.
-        row = np.int64((place + 0.5) * per_column)
-        i, j = i0 + place - row * width, j0 + row
-        in_i, in_j = i - low_i, j - low_j
-        # Neighbours in the list mostly share a tile: then nothing is divided.
-        if tile < 0 or in_i < 0 or in_i >= side or in_j < 0 or in_j >= side:
-            x, y = i // side, j // side
-            low_i, low_j = x * side, y * side
-            in_i, in_j = i - low_i, j - low_j
-            seat = (y - tile0_y) * across + (x - tile0_x)
-            if seats[seat] < 0:
-                seats[seat] = tiles
-                keys[tiles, 0], keys[tiles, 1] = x, y
-                starts[tiles + 1] = 0
-                tiles += 1
-            tile = seats[seat]
-        tile_of[k] = tile
-        starts[tile + 1] += 1
-        places[k] = in_j * side + in_i
-    starts[0] = 0
-    for t in range(tiles):
-        starts[t + 1] += starts[t]
-    cursor = starts[:tiles].copy()
-    for k in range(places.shape[0]):
-        to = cursor[tile_of[k]]
-        cursor[tile_of[k]] += 1
-        at[to] = places[k]
-        hit[to] = k < hits
-    return tiles
-
-
-class Traced(NamedTuple):
-    """The cells of a scan's rays, each once, by tile: at[starts[t]:starts[t + 1]] lie in tile keys[t] = (x, y)."""
-
-    keys: Array
-    """(T, 2) int64."""
-    starts: Array
-    """(T + 1,) int64."""
-    at: Array
-    """(K,) int32 flat positions, j·tile_cells + i."""
-    hit: Array
-    """(K,) bool: whether a marked segment ends there; the other cells are crossed only."""
-
-
-class Tracer:
-    """The rays of one robot's scans; keeps the scratch between them: fresh memory costs more than the work."""
-
-    def __init__(self, cells_per_m: float, tile_cells: int) -> None:
-        self._cells_per_m, self._side = cells_per_m, tile_cells
-        self._seen = np.zeros(1 << 16, np.uint8)
-        self._places = np.empty(1 << 12, np.int32)
-        self._grouped = _room(1 << 12)
-
-    def __call__(self, ends: Array, marks: Array) -> Traced:
-        """Segments (K, 4) x0 y0 x1 y1 in metres, marks (K,) bool: those that hit the cell that holds their end.
-
-        Segments keep to MAX_RAY_CELLS and MAX_SPREAD_CELLS. What it returns is scratch, and holds until the next scan.
-        """
-        if not len(ends):
-            return Traced(np.empty((0, 2), np.int64), np.zeros(1, np.int64), np.empty(0, np.int32), np.empty(0, bool))
-        i0, j0, width, height, most = extent(ends, self._cells_per_m)
-        if len(self._seen) < width * height:
-            self._seen = np.zeros(1 << (width * height - 1).bit_length(), np.uint8)
-        if len(self._places) < most + 1:
-            self._places = np.empty(1 << int(most).bit_length(), np.int32)
-        hits, count = trace(ends, marks, self._cells_per_m, i0, j0, width, self._seen, self._places)
-        return self._by_tile(count, hits, (i0, j0, width, height))
-
-    def _by_tile(self, count: int, hits: int, window: tuple[int, int, int, int]) -> Traced:
-        i0, j0, width, height = window
-        side = self._side
-        if len(self._grouped[0]) < count:
-            self._grouped = _room(1 << (count - 1).bit_length())
-        tile_of, at, hit = self._grouped
-        across, up = ((first + cells - 1) // side - first // side + 1 for first, cells in ((i0, width), (j0, height)))
-        seats, keys = np.full(across * up, -1, np.int32), np.empty((across * up, 2), np.int64)
-        starts = np.empty(across * up + 1, np.int64)
-        tiles = group(
-            self._places[:count], hits, i0, j0, width, side, self._seen, seats, across, keys, starts, tile_of, at, hit
-        )
-        return Traced(keys[:tiles], starts[: tiles + 1], at[:count], hit[:count])
-
-
-def _room(cells: int) -> tuple[Array, Array, Array]:
-    """(tile_of, at, hit)."""
-    return np.empty(cells, np.int32), np.empty(cells, np.int32), np.empty(cells, np.bool_)
+    return np.int64(hits), np.int64(count)
 
 
 def crossed_reference(x0: Fraction, y0: Fraction, x1: Fraction, y1: Fraction) -> set[tuple[int, int]]:
@@ -229,7 +132,7 @@ def crossed_reference(x0: Fraction, y0: Fraction, x1: Fraction, y1: Fraction) ->
 
 
 def trace_reference(ends: Array, marks: Array, cells_per_m: float) -> tuple[set[tuple[int, int]], set[tuple[int, int]]]:
-    """What `Tracer` must equal: (cells that are hit, cells that are crossed and not hit)."""
+    """What `traced.Tracer` must equal: (cells that are hit, cells that are crossed and not hit)."""
     hits: set[tuple[int, int]] = set()
     crossed: set[tuple[int, int]] = set()
     for segment, mark in zip(ends.tolist(), marks.tolist(), strict=True):

@@ -7,18 +7,19 @@ Barnes, Garcia, Quasny & Pyeatt, "Multi-agent mapping using dynamic allocation u
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from terrafuse.errors import InputError
-from terrafuse.kernels import occupancy, occupancy_beams, occupancy_sonar, rays
+from terrafuse.kernels import occupancy, occupancy_beams, occupancy_sonar, rays, traced
 from terrafuse.lattice import Lattice
 from terrafuse.models.base import Layer, Patch, check_band, checked_ends, checked_origins, first_flaw, patch_of
 from terrafuse.tile import RecordTile
-from terrafuse.types import Array, Beam, Floats, Scan, TileKey
+from terrafuse.types import Array, Beam, Floats, Scan, Stamp, TileKey
 
 FREE, OCCUPIED, UNDECIDED = 1, 2, 3
 ORIGIN = np.zeros((1, 3))
@@ -142,18 +143,43 @@ class Occupancy:
         return self._of(cells, np.select(kinds, [FREE, OCCUPIED], UNDECIDED))
 
 
+@dataclass(frozen=True, eq=False)
+class RaysPatch:
+    """What rays say of the cells that they cross. It is the observer's scratch, and holds until its next scan."""
+
+    traced: traced.Traced
+    hit_ticks: int
+    miss_ticks: int
+    points: int
+    dropped: Mapping[str, int]
+
+    @cached_property
+    def keys(self) -> list[TileKey]:
+        return [TileKey(x, y) for x, y in self.traced.keys.tolist()]
+
+    @property
+    def cells(self) -> int:
+        return self.traced.cells
+
+    def merge_into(self, tiles: Sequence[RecordTile], stamp_ns: Stamp, revision: int) -> None:
+        for t, tile in enumerate(tiles):
+            at, hit = self.traced.part(t)
+            readings = np.empty(len(at), occupancy.READING)
+            occupancy.read_rays(hit, self.hit_ticks, self.miss_ticks, readings)
+            tile.merge(at, readings, stamp_ns, revision)
+
+
 class OccupancyObserver:
     """What scans of one robot say of the cells of one lattice; keeps the scratch between scans."""
 
     def __init__(self, model: Occupancy, lattice: Lattice) -> None:
         self._model, self._lattice = model, lattice
-        self._rays = rays.Tracer(lattice.cells_per_m, lattice.tile_cells)
+        self._rays = traced.Tracer(lattice.cells_per_m, lattice.tile_cells)
         self._cones = occupancy_sonar.Listener(
             lattice.cells_per_m, model.max_empty_evidence, model.max_occupied_evidence
         )
-        self._readings = np.empty(1 << 12, occupancy.READING)
 
-    def __call__(self, scan: Scan) -> Patch:
+    def __call__(self, scan: Scan) -> Patch | RaysPatch:
         cone = scan.beam.half_angle_rad > 0
         longest = occupancy_sonar.MAX_CONE_CELLS if cone else rays.MAX_RAY_CELLS
         ends, marks, dropped = self._segments(scan, longest)
@@ -168,14 +194,10 @@ class OccupancyObserver:
         i, j, readings = self._cones(ends, marks, scan.beam, nearest_m)
         return patch_of(i, j, readings, self._lattice, len(scan.points), dropped)
 
-    def _traced(self, ends: Floats, marks: Array, scan: Scan, dropped: Mapping[str, int]) -> Patch:
-        keys, starts, at, hit = self._rays(ends, marks)
-        if len(self._readings) < len(at):
-            self._readings = np.empty(1 << (len(at) - 1).bit_length(), occupancy.READING)
-        model, readings = self._model, self._readings[: len(at)]
+    def _traced(self, ends: Floats, marks: Array, scan: Scan, dropped: Mapping[str, int]) -> RaysPatch:
+        model = self._model
         hit_ticks, miss_ticks = (self._ticks(p, scan.beam) for p in (model.hit_probability, model.miss_probability))
-        occupancy.read_rays(hit, hit_ticks, miss_ticks, readings)
-        return Patch([TileKey(int(x), int(y)) for x, y in keys], starts, at, readings, len(scan.points), dropped)
+        return RaysPatch(self._rays(ends, marks), hit_ticks, miss_ticks, len(scan.points), dropped)
 
     def _ticks(self, probability: float, beam: Beam) -> int:
         """Of a ray; a sensor that is believed half says half as far from ½."""

@@ -12,9 +12,14 @@ from pathlib import Path
 
 import pytest
 
+import terrafuse as program
 from terrafuse.errors import InputError
+from terrafuse.lattice import Lattice
 from terrafuse.models import LAYERS, layers_of, make_model
 from terrafuse.plugins import fingerprints, load_plugin
+from terrafuse.replica import Replica
+from terrafuse.store.memory import MemoryStore
+from terrafuse.testing.deltas import deltas_of, scan_of
 from tests.program import record, terrafuse
 
 PAGE = (Path(__file__).parent.parent / "docs/extending.md").read_text()
@@ -32,13 +37,24 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run(line: str, folder: Path) -> None:
-    program, *arguments = shlex.split(line)
+OURS = str(Path(program.__file__).parent.parent)
+"""Where the terrafuse lies that this test imported: the commands run that one, and of the rest nothing of here."""
+
+
+def run(line: str, folder: Path) -> str:
+    """What a command of the page prints."""
+    name, *arguments = shlex.split(line)
     done = subprocess.run(
-        [sys.executable, "-m", program, *arguments],
-        cwd=folder, capture_output=True, text=True, timeout=300, env=os.environ | {"PYTHONPATH": ""},
+        [sys.executable, "-m", name, *arguments],
+        cwd=folder, capture_output=True, text=True, timeout=300, env=os.environ | {"PYTHONPATH": OURS},
     )  # fmt: skip
     assert done.returncode == 0, (line, done.stdout, done.stderr)
+    return done.stdout
+
+
+def test_the_commands_run_the_terrafuse_under_test(desk: Path) -> None:
+    (desk / "where.py").write_text("import terrafuse\nprint(terrafuse.__file__)\n")
+    assert run("where", desk).strip() == program.__file__
 
 
 @pytest.mark.parametrize("section", SECTIONS)
@@ -100,6 +116,97 @@ def test_a_plugin_runs_once_and_marks_the_run(tmp_path: Path) -> None:
     load_plugin(tmp_path / "." / "once.py")
     assert log.read_text() == "ran "
     assert len(fingerprints()) == len(before) + 1
+
+
+def test_a_plugin_that_ends_the_program_is_named(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("import sys\nsys.exit('bye')\n")
+    with pytest.raises(InputError, match=r"mine\.py: line 2 SystemExit: bye"):
+        load_plugin(tmp_path / "mine.py")
+    with pytest.raises(InputError, match="give an existing Python file"):
+        load_plugin("a" * 5000 + ".py")
+
+
+LAYER = """\
+import numpy as np
+from terrafuse.lattice import Lattice
+from terrafuse.models import LAYERS, Layer
+
+def mine(model):
+    {make}
+
+LAYERS["{name}"].append(mine)
+"""
+MISTAKES = {
+    "raises when made": ("model.layers['hight']", r"a layer of .*mine\.py for 'elevation': line 5 KeyError: 'hight'"),
+    "is none": ("return 7", r"a layer of .*mine\.py for 'elevation': 7 is no Layer"),
+    "halo": (
+        "return Layer('x', '1', 'x', None.__eq__, halo=-1)",
+        r"layer 'x' of .*mine\.py: a halo of -1; give 0 to 64",
+    ),
+    "raises when computed": (
+        "return Layer('x', '1', 'x', lambda cells, reading: cells['hight'])",
+        r"layer 'x' of .*mine\.py: line 5 ValueError: no field of name hight",
+    ),
+    "shape": (
+        "return Layer('x', '1', 'x', lambda cells, reading: np.zeros((1, 1)))",
+        r"layer 'x' of .*mine\.py: gives float64 of shape \(1, 1\) for cells of shape",
+    ),
+    "kind": (
+        "return Layer('x', '1', 'x', lambda cells, reading: np.full(cells.shape, 'a'))",
+        r"layer 'x' of .*mine\.py: gives <U1 of shape",
+    ),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_layer_that_fails_is_named(mistake: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make, complaint = MISTAKES[mistake]
+    (tmp_path / "mine.py").write_text(LAYER.format(make=make, name="elevation"))
+    monkeypatch.setitem(LAYERS, "elevation", [])
+    load_plugin(tmp_path / "mine.py")
+    store = MemoryStore(Lattice(1.0, 10.0), make_model("elevation"))
+    for delta in deltas_of("r1", [scan_of([[1.5, 1.5, 0.0]], 1)], store.map.lattice, store.model):
+        store.accept(delta)
+    with pytest.raises(InputError, match=complaint):
+        Replica(store=store).layer("x")
+
+
+def test_layers_of_a_model_that_there_is_none_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "mine.py").write_text(LAYER.format(make="return 1", name="elevatoin"))
+    monkeypatch.setitem(LAYERS, "elevatoin", [])
+    load_plugin(tmp_path / "mine.py")
+    with pytest.raises(
+        InputError, match=r"LAYERS\['elevatoin'\] of .*mine\.py: there is no such cell model; there are:"
+    ):
+        layers_of(make_model("occupancy"))
+    ran = terrafuse("map", "r1=nowhere.mcap", "--plugin", tmp_path / "mine.py", "--out", tmp_path / "out")
+    assert ran.code == 2
+    assert "LAYERS['elevatoin']" in ran.err
+
+
+def test_layers_that_are_no_list_of_functions(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(LAYERS, "elevation", [3])  # type: ignore[list-item]
+    with pytest.raises(InputError, match=r"LAYERS\['elevation'\]: holds \[3\]; append a function"):
+        layers_of(make_model("occupancy"))
+
+
+READER = """\
+from terrafuse.logs import READERS, Log, Reader
+
+def open_mine(source):
+    return Log(source.path, "mine", lambda: iter([source.path / 0]), georeferenced=True)
+
+READERS["mine"] = Reader("mine", "mine", lambda path: path.suffix == ".mine", open_mine, {})
+"""
+
+
+def test_what_else_of_a_plugin_fails_in_a_command_is_named(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(READER)
+    (tmp_path / "a.mine").write_text("x")
+    ran = terrafuse("map", f"r1={tmp_path / 'a.mine'}", "--plugin", tmp_path / "mine.py", "--out", tmp_path / "out")
+    assert ran.code == 2
+    assert re.search(r"^error: plug-in .*mine\.py: line 4 TypeError: unsupported operand", ran.err, re.MULTILINE)
+    assert "Traceback" not in ran.err
 
 
 def test_a_layer_under_a_name_that_is_taken_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

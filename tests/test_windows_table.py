@@ -102,7 +102,7 @@ def test_nothing_is_touched_outside_what_can_be_seen(hallway: dict[tuple[str, in
 def test_a_window_that_moves_at_every_scan_commits_now_and_then(hallway: dict[tuple[str, int], Run]) -> None:
     scans = len(SHORT.way)
     moves = Residency(make_window(radius(1), Lattice(INCH_M, 10 * INCH_M)))
-    moved = sum(moves.move(x * INCH_M, y * INCH_M) is not None for x, y, _ in SHORT.way)
+    moved = sum(moves.move(x * INCH_M, y * INCH_M) for x, y, _ in SHORT.way)
     paging = hallway[radius(1), 10].paging
     assert moved > scans / 4
     assert paging.evictions > 300

@@ -15,7 +15,7 @@ from terrafuse.query import split_query
 from terrafuse.window.allocation import Allocation
 from terrafuse.window.area import EVERYWHERE, Area, disc, rectangle
 from terrafuse.window.policies import Centred, KeepAll, NineBlock, Radius, Tiles3x3, Window
-from terrafuse.window.residency import Move, Residency
+from terrafuse.window.residency import Residency
 
 WINDOWS: dict[str, Callable[..., Window]] = {
     "all": KeepAll,
@@ -51,6 +51,6 @@ def _number(name: str, key: str, text: str) -> float:
 
 
 __all__ = [
-    "EVERYWHERE", "WINDOWS", "Allocation", "Area", "Centred", "KeepAll", "Move", "NineBlock", "Radius", "Residency",
+    "EVERYWHERE", "WINDOWS", "Allocation", "Area", "Centred", "KeepAll", "NineBlock", "Radius", "Residency",
     "Tiles3x3", "Window", "disc", "make_window", "rectangle",
 ]  # fmt: skip

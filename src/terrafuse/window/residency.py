@@ -1,24 +1,10 @@
-"""A window on its way: what each move adds and drops, and what the whole way claimed."""
+"""A window on its way: what is inside it now, and what the whole way claimed."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 from terrafuse.types import TileKey
 from terrafuse.window.area import NOWHERE, Area
 from terrafuse.window.policies import Window
-
-
-@dataclass(frozen=True)
-class Move:
-    """What changed when the robot came to a new place."""
-
-    resident: Area
-    """All that is inside the window now."""
-    added: frozenset[TileKey]
-    """Inside now and not before: to be loaded, where anything is known of them."""
-    dropped: frozenset[TileKey]
-    """Inside before and not now."""
 
 
 class Residency:
@@ -32,13 +18,12 @@ class Residency:
         """Most that were inside at once."""
         self._window = window
 
-    def move(self, east_m: float, north_m: float) -> Move | None:
-        """The robot is here now. None if the window holds what it held before."""
+    def move(self, east_m: float, north_m: float) -> bool:
+        """The robot is here now. Returns whether the window holds other tiles than before."""
         area = self._window.around(east_m, north_m)
         if area is self.area or area == self.area:
-            return None
-        now, before = frozenset(area), frozenset(self.area)
+            return False
         self.area = area
-        self.visited |= now
-        self.most_tiles = max(self.most_tiles, len(now))
-        return Move(area, now - before, before - now)
+        self.visited.update(area)
+        self.most_tiles = max(self.most_tiles, len(area))
+        return True

@@ -25,6 +25,7 @@ from terrafuse.simulate.mission.exchange import ANTENNA_M, STATION, Node, Statio
 from terrafuse.simulate.mission.fleet import Fleet
 from terrafuse.simulate.mission.localiser import LOCALISERS
 from terrafuse.simulate.mission.ownmap import OwnMap
+from terrafuse.simulate.mission.prior import FILE as PRIOR_FILE
 from terrafuse.simulate.mission.prior import coarse_prior, prior_store, write_buildings
 from terrafuse.simulate.mission.senses import Around, Sense
 from terrafuse.simulate.mission.situation import Situation
@@ -145,7 +146,7 @@ class Mission:
             return None, None
         if folder is None:
             raise InputError("a mission with a prior map needs a folder for its file")
-        path = folder / "prior.geojson"
+        path = folder / PRIOR_FILE
         write_buildings(self.world, height_m, path)
         fine = prior_store(path, self.lattice, self.model)
         for delta in prior_deltas(fine):

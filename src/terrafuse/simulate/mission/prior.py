@@ -19,6 +19,7 @@ from terrafuse.store.memory import MemoryStore
 from terrafuse.tile import opaque
 
 CONFIDENCE = 0.1
+FILE = "prior.geojson"
 
 
 def write_buildings(world: World, height_m: float, path: Path) -> None:

@@ -36,32 +36,57 @@ def fields_of(dtype: np.dtype[Any]) -> Fields:
 @njit(cache=True, nogil=True)
 def to_columns(records, offsets, sizes, columns):
     """records (K, itemsize) uint8, little endian → columns (K·Σ sizes,) uint8."""
-    count, start = records.shape[0], 0
+    start = 0
     for field in range(len(sizes)):
-        before = np.uint64(0)
-        for k in range(count):
-            value = np.uint64(0)
-            for byte in range(sizes[field]):
-                value |= np.uint64(records[k, offsets[field] + byte]) << np.uint64(8 * byte)
-            difference = value - before
-            for byte in range(sizes[field]):
-                columns[start + byte * count + k] = (difference >> np.uint64(8 * byte)) & np.uint64(255)
-            before = value
-        start += sizes[field] * count
+        offset, size = offsets[field], sizes[field]
+        # The usual sizes as constants: their loops are unrolled then, which is half again as fast.
+        if size == 8:
+            split(records, offset, 8, columns, start)
+        elif size == 4:
+            split(records, offset, 4, columns, start)
+        else:
+            split(records, offset, size, columns, start)
+        start += size * records.shape[0]
 
 
 @njit(cache=True, nogil=True)
 def from_columns(columns, offsets, sizes, records):
     """The inverse of `to_columns`, into records of zeros."""
-    count, start = records.shape[0], 0
+    start = 0
     for field in range(len(sizes)):
+        offset, size = offsets[field], sizes[field]
+        if size == 8:
+            join(columns, start, 8, records, offset)
+        elif size == 4:
+            join(columns, start, 4, records, offset)
+        else:
+            join(columns, start, size, records, offset)
+        start += size * records.shape[0]
+
+
+@njit(inline="always")
+def split(records, offset, size, columns, start):
+    """One field's column."""
+    count, before = records.shape[0], np.uint64(0)
+    for k in range(count):
         value = np.uint64(0)
-        for k in range(count):
-            for byte in range(sizes[field]):
-                value += np.uint64(columns[start + byte * count + k]) << np.uint64(8 * byte)
-            for byte in range(sizes[field]):
-                records[k, offsets[field] + byte] = (value >> np.uint64(8 * byte)) & np.uint64(255)
-        start += sizes[field] * count
+        for byte in range(size):
+            value |= np.uint64(records[k, offset + byte]) << np.uint64(8 * byte)
+        difference = value - before
+        for byte in range(size):
+            columns[start + byte * count + k] = (difference >> np.uint64(8 * byte)) & np.uint64(255)
+        before = value
+
+
+@njit(inline="always")
+def join(columns, start, size, records, offset):
+    """One column's field."""
+    count, value = records.shape[0], np.uint64(0)
+    for k in range(count):
+        for byte in range(size):
+            value += np.uint64(columns[start + byte * count + k]) << np.uint64(8 * byte)
+        for byte in range(size):
+            records[k, offset + byte] = (value >> np.uint64(8 * byte)) & np.uint64(255)
 
 
 def to_columns_reference(records: Array) -> bytes:

@@ -44,6 +44,7 @@ RANGE_M = 75.0
 HRM, FACTOR, GLRM_SIDE = Lattice(0.5, 160.0), 10, 200
 SIDE = HRM.tile_cells
 MODEL = Terrain(max_range_m=RANGE_M)
+SHAPE = MODEL.shape(HRM.resolution_m)
 FINE, COARSE = MODEL.rules(HRM.resolution_m), MODEL.rules(HRM.resolution_m * FACTOR)
 ACROSS = math.isqrt(MODEL.subcells)
 
@@ -133,7 +134,7 @@ class Compiled(Maps):
     def _heights(self, count: int, sensor_z: float) -> int:
         cells = terrain_points.add_up(*self.points, count, self.grid, self.first_slot, self.places, self.sums)
         self.first_slot += cells
-        terrain_planes.fit(self.sums, cells, sensor_z, HRM.cells_per_m, MODEL.point_sigma_m, self.cells)
+        terrain_planes.fit(self.sums, cells, sensor_z, HRM.cells_per_m, SHAPE, self.cells)
         return int(cells)
 
     def _gradients(self, count: int, grid: Array, first_slot: int) -> None:
@@ -177,7 +178,7 @@ class Reference(Maps):
 
     def _heights(self, i: Array, j: Array, uvw: list[Array], sensor_z: float) -> tuple[Array, Array, Array, Array]:
         i, j, sums = terrain_points.add_up_reference(i, j, *uvw, ACROSS)
-        return i, j, sums, terrain_planes.fit_reference(sums, sensor_z, HRM.cells_per_m, MODEL.point_sigma_m)
+        return i, j, sums, terrain_planes.fit_reference(sums, sensor_z, HRM.cells_per_m, SHAPE)
 
     def _into_hrm(self, i: Array, j: Array, cells: Array, stamp_ns: int, revision: int) -> None:
         at = j * SIDE + i

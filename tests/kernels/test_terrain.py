@@ -49,7 +49,7 @@ def observe_reference(scan: Scan, lattice: Lattice, model: Terrain) -> tuple[Arr
     T, per_m, far_m = scan.T_world_sensor.matrix, lattice.cells_per_m, model.range_m(scan)
     i, j, *uvw = terrain_points.locate_reference(scan.points, T, per_m, model.min_range_m, far_m)
     i, j, sums = terrain_points.add_up_reference(i, j, *uvw, round(model.subcells**0.5))
-    cells = terrain_planes.fit_reference(sums, T[2, 3], per_m, model.point_sigma_m)
+    cells = terrain_planes.fit_reference(sums, T[2, 3], per_m, model.shape(lattice.resolution_m))
     terrain_planes.difference_neighbours_reference(i, j, sums, cells, per_m, model.point_sigma_m)
     cells["confidence"] = terrain_planes.assess_reference(i, j, sums, T, per_m, far_m, model.subcells)
     terrain_planes.occupy_reference(cells, model.max_slope)

@@ -27,6 +27,8 @@ from terrafuse.views import chosen_layers, mosaic
 LATTICE = Lattice(1.0, 4.0)
 FAR_AWAY = Terrain(max_range_m=1e8)
 """Range weights of 1, for what is not about range."""
+TO_THE_LETTER = replace(FAR_AWAY, wall_slope=None)
+"""As in the paper: nothing is a wall."""
 SURFACE = kernel.HEIGHT | kernel.GRADIENT_X | kernel.GRADIENT_Y | kernel.OCCUPATION
 
 
@@ -80,7 +82,7 @@ def test_a_plane_through_three_points() -> None:
 def test_least_squares_over_four_points() -> None:
     """Corners of a square with z = 0, 0, 0, 4: the mean is 1; from the left pair to the right z rises by 2 in 0.6."""
     points = [(0.2, 0.2, 0.0), (0.8, 0.2, 0.0), (0.2, 0.8, 0.0), (0.8, 0.8, 4.0)]
-    layers = layers_of(scan_of(points))
+    layers = layers_of(scan_of(points), model=TO_THE_LETTER)
     assert layers["height"][0, 0] == pytest.approx(1.0)
     assert layers["gradient_x"][0, 0] == pytest.approx(2 / 0.6)
     assert layers["gradient_y"][0, 0] == pytest.approx(2 / 0.6)
@@ -99,7 +101,7 @@ def test_least_squares_over_four_points() -> None:
 )
 def test_points_that_make_no_plane_give_their_mean(points: list[tuple[float, float, float]]) -> None:
     """All of them have the mean height 1.5, and no neighbours."""
-    layers = layers_of(scan_of(points))
+    layers = layers_of(scan_of(points), model=TO_THE_LETTER)
     assert layers["height"][0, 0] == pytest.approx(1.5)
     for name in ("gradient_x", "gradient_y", "occupation"):
         assert np.isnan(layers[name][0, 0])
@@ -683,14 +685,18 @@ def some_cells(seed: int, count: int = 64) -> Array:
     flags = kernel.HEIGHT | np.where(known_x, kernel.GRADIENT_X, 0) | np.where(known_y, kernel.GRADIENT_Y, 0)
     error = np.where(known_x | known_y, rng.choice([0.0, 0.02, 0.15], count), 0).astype(np.float32)
     out["gradient_error"] = error
-    share, known = occupation_reference(
-        out["gradient_x"].astype(float), out["gradient_y"].astype(float), error.astype(float), known_x & known_y, 0.3
-    )
+    wall = rng.random(count) < 0.3
+    for name in ("gradient_x", "gradient_y", "gradient_error"):
+        out[name][wall] = 0
+    flags = np.where(wall, kernel.HEIGHT | kernel.WALL, np.where(rng.random(count) < 0.5, flags | kernel.PLANE, flags))
+    slopes = (out[name].astype(float) for name in ("gradient_x", "gradient_y", "gradient_error"))
+    share, known = occupation_reference(*slopes, known_x & known_y & ~wall, wall, 0.3)
     out["occupation"] = share
     for flag in (kernel.PRIOR, kernel.HELD, kernel.CONTRADICTED):
         flags = flags | np.where(rng.random(count) < 0.2, flag, 0)
     out["flags"] = flags | np.where(known, kernel.OCCUPATION, 0)
     out["rival"] = np.where(flags & kernel.CONTRADICTED, rng.choice([0.1, 5.0], count), 0)
+    out["flags"] |= np.where((flags & kernel.CONTRADICTED != 0) & (rng.random(count) < 0.5), kernel.RIVAL_WALL, 0)
     given = rng.random(count) < 0.3
     out["gps_quality"], out["communications"] = given * rng.integers(0, 4, count), given * rng.integers(0, 3, count)
     for name in ("height", "gradient_x", "gradient_y", "gradient_error", "occupation", "confidence", "rival"):
@@ -742,3 +748,96 @@ def test_the_map_is_the_same_whatever_the_order_of_reports() -> None:
 
 def test_a_record_has_no_gaps() -> None:
     assert kernel.CELL.itemsize == sum(kernel.CELL[name].itemsize for name in kernel.CELL.names) == 48
+
+
+# --- walls -----------------------------------------------------------------------------------------------------------
+
+
+def wall(height: float, confidence: float, stamp_s: float = 0.0) -> Array:
+    """One cell (1,) of a wall up to this height."""
+    out = cell(height, confidence, stamp_s=stamp_s)
+    out["occupation"], out["flags"] = 1.0, kernel.HEIGHT | kernel.OCCUPATION | kernel.WALL
+    return out
+
+
+def plane(height: float, confidence: float, stamp_s: float = 0.0) -> Array:
+    return cell(height, confidence, stamp_s=stamp_s, more=kernel.PLANE)
+
+
+def loose(height: float, confidence: float) -> Array:
+    """One cell (1,) whose points made no plane."""
+    out = cell(height, confidence)
+    out["occupation"], out["flags"] = 0.0, kernel.HEIGHT
+    return out
+
+
+@pytest.mark.parametrize(("top", "height", "occupation"), [(2.2, 2.2, 1.0), (2.0, 1.0, math.nan)])
+def test_points_over_more_height_than_ground_has_are_a_wall(top: float, height: float, occupation: float) -> None:
+    """Ground of slope 1.5 rises by 1.5 · √2 = 2.12 m from corner to corner of a cell of 1 m."""
+    layers = layers_of(scan_of([(0.5, 0.5, 0.0), (0.5, 0.52, top)]))
+    assert layers["height"][0, 0] == pytest.approx(height)
+    np.testing.assert_equal(layers["occupation"][0, 0], occupation)
+    assert np.isnan(layers["gradient_x"][0, 0])
+
+
+def test_a_wall_says_nothing_of_the_slope_beside_it() -> None:
+    """Level ground at x = 0.5 and 1.5, a wall at 2.5: one-sided from the west, not up the wall."""
+    ground = [(0.5, 0.5, 0.0), (1.5, 0.5, 0.1)]
+    layers = layers_of(scan_of([*ground, (2.5, 0.5, 0.0), (2.5, 0.5, 4.0)]))
+    assert layers["gradient_x"][0, 1] == pytest.approx(0.1)
+
+
+def test_walls_keep_the_higher_top() -> None:
+    """Confidence as of any two that are alike: 1 - 0.8 · 0.5 = 0.6."""
+    for own, new in ((3.0, 8.0), (8.0, 3.0)):
+        after = merged(wall(own, 0.2), wall(new, 0.5), 0.0)
+        assert after["height"] == 8.0
+        assert after["confidence"] == pytest.approx(0.6)
+        assert fused(wall(own, 0.2), wall(new, 0.5))["height"] == 8.0
+
+
+@pytest.mark.parametrize(("met", "top"), [(1.0, 3.0), (5.0, 5.0)])
+def test_a_ring_that_meets_a_wall_contradicts_nothing(met: float, top: float) -> None:
+    for after in (merged(wall(3.0, 0.2), loose(met, 0.9), 1.0), merged(loose(met, 0.9), wall(3.0, 0.2), 1.0)):
+        assert (after["height"], after["confidence"]) == (top, pytest.approx(0.2))
+        assert after["flags"] & kernel.WALL
+    assert fused(wall(3.0, 0.2), loose(met, 0.9)) == fused(loose(met, 0.9), wall(3.0, 0.2))
+
+
+def test_a_roof_at_its_top_is_of_the_wall() -> None:
+    """0.3 m apart is near enough: 3.2 is the higher of both."""
+    after = merged(wall(3.0, 0.2), plane(3.2, 0.5), 1.0)
+    assert (after["height"], after["occupation"]) == (3.2, 1.0)
+
+
+def test_a_parked_car_appears_and_its_ground_comes_back() -> None:
+    """A car's side fills few sub-cells: it takes two looks in a row, whatever they see of its top; two of the ground
+    take it away again."""
+    seen = merged(plane(0.0, 0.9), plane(0.0, 0.9), 1.0)
+    once = merged(seen, wall(1.2, 0.2), 2.0)
+    assert once["height"] == 0.0
+    parked = merged(once, wall(1.5, 0.2), 3.0)
+    assert (parked["height"], parked["occupation"]) == (1.5, 1.0)
+    leaves = merged(parked, plane(0.0, 0.6), 4.0)
+    gone = leaves if leaves["height"] == 0.0 else merged(leaves, plane(0.0, 0.6), 5.0)
+    assert (gone["height"], gone["occupation"]) == (0.0, 0.0)
+
+
+def test_what_was_only_given_raises_no_wall() -> None:
+    """Somebody took the building for 10 m high: what is seen of it counts, as it is surer by more than 2/16."""
+    given = cell(10.0, 0.1)
+    given["flags"] = kernel.HEIGHT | kernel.PRIOR
+    assert fused(given, wall(4.0, 0.5))["height"] == 4.0
+    assert fused(wall(4.0, 0.5), given)["height"] == 4.0
+
+
+def test_a_plane_beside_its_points_is_none() -> None:
+    """Three points in a corner, 0.05 m apart, of 1 cm each: at the centre, 0.6 m away, a plane through them is off by
+    more than 0.1 m, so the cell has their mean, 0.1."""
+    corner = [(0.05, 0.05, 0.1), (0.12, 0.05, 0.1), (0.05, 0.12, 0.1)]
+    layers = layers_of(scan_of(corner))
+    assert layers["height"][0, 0] == pytest.approx(0.1)
+    assert np.isnan(layers["gradient_x"][0, 0])
+    assert layers_of(scan_of(corner), model=replace(FAR_AWAY, point_sigma_m=1e-5))["gradient_x"][0, 0] == pytest.approx(
+        0
+    )

@@ -44,11 +44,18 @@ HELD = np.uint16(1 << 6)
 """It was seen alike twice, or has replaced another: one look does not replace it."""
 CONTRADICTED = np.uint16(1 << 7)
 """The last look that counted contradicted it: another one like that replaces it."""
+PLANE = np.uint16(1 << 8)
+"""Its points made a plane of their own."""
+WALL = np.uint16(1 << 9)
+"""Its points reached over more height than any ground: it stands upright, and its height is that of its top."""
+RIVAL_WALL = np.uint16(1 << 10)
+"""The look that contradicted it saw a wall."""
 
 GRADIENTS = GRADIENT_X | GRADIENT_Y
 KNOWN = HEIGHT | GRADIENTS | OCCUPATION
-LOOKS = HELD | CONTRADICTED
-FLAGS = KNOWN | PRIOR | COARSE | LOOKS
+SHAPES = PLANE | WALL
+LOOKS = HELD | CONTRADICTED | RIVAL_WALL
+FLAGS = KNOWN | PRIOR | COARSE | SHAPES | LOOKS
 FLAG_OF = {
     "height": HEIGHT,
     "gradient_x": GRADIENT_X,
@@ -76,7 +83,7 @@ class Rules(NamedTuple):
     """0: nothing ages."""
     max_slope: float
     coarse_confidence: float
-    """The least with which a fine cell counts for a coarse one's occupation."""
+    """The least with which a fine cell counts for a coarse one's occupation, and a wall against a plane."""
 
 
 _POWERS = tuple((-math.log(2.0)) ** k / math.factorial(k) for k in range(17))

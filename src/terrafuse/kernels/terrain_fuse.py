@@ -8,10 +8,16 @@ from numba import njit
 from terrafuse.kernels.terrain import HEIGHT, Rules, aged, aged_reference, new_memo
 from terrafuse.kernels.terrain_rule import (
     BLEND,
+    GLIMPSE,
     SURER,
     SURFACE,
+    WALLS,
     blend,
     blend_reference,
+    glimpse,
+    glimpse_reference,
+    join_walls,
+    join_walls_reference,
     outcome,
     outcome_reference,
     take,
@@ -45,6 +51,13 @@ def meet(own, new, newer, rules, memo):
     if verdict == BLEND:
         blend(own, new, confidence_own, confidence_new, rules)
         own.stamp = later
+        return
+    if verdict == WALLS:
+        join_walls(own, new, confidence_own, confidence_new)
+        own.stamp = later
+        return
+    if verdict == GLIMPSE:
+        glimpse(own, new, new.stamp)
         return
     surer = confidence_new > confidence_own or (newer and confidence_new == confidence_own)
     if surer if verdict == SURER else newer:
@@ -98,7 +111,11 @@ def fuse_reference(own: Array, new: Array, rules: Rules) -> Array:
     choose_new = np.where(has_own & has_new, np.where(verdict == SURER, surer, newer), new["flags"] != 0)
     out = own.copy()
     mean = blend_reference(own, new, confidence_own, confidence_new, rules)
-    blended = has_own & has_new & (verdict == BLEND)
+    joined = has_own & has_new & (verdict == WALLS)
+    mean[joined] = join_walls_reference(own, new, confidence_own, confidence_new)[joined]
+    glimpsed = has_own & has_new & (verdict == GLIMPSE)
+    mean[glimpsed] = glimpse_reference(own, new)[glimpsed]
+    blended = has_own & has_new & ((verdict == BLEND) | joined | glimpsed)
     chosen = choose_new & (has_new | ~has_own)
     for name in SURFACE:
         out[name] = np.where(blended, mean[name], np.where(chosen, new[name], own[name]))

@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from terrafuse.kernels.rasterise import WINDOW, cell_at, place_of
-from terrafuse.kernels.terrain import CELL, GRADIENT_X, GRADIENT_Y, GRADIENTS, HEIGHT, MOST_CONFIDENT, OCCUPATION
+from terrafuse.kernels.terrain import (
+    CELL,
+    GRADIENT_X,
+    GRADIENT_Y,
+    GRADIENTS,
+    HEIGHT,
+    MOST_CONFIDENT,
+    OCCUPATION,
+    PLANE,
+    WALL,
+)
 from terrafuse.kernels.terrain_rule import occupation_reference, occupy
 from terrafuse.types import Array, Floats
 
@@ -18,18 +29,31 @@ then noise alone spreads them so. Points of a wall, a line from above, stay unde
 ROUNDING2 = 1e-12
 """Below this variance across, in sides of the cell squared, sums in float64 are mostly rounding."""
 
+
+class Shape(NamedTuple):
+    """What tells planes, walls and loose points apart, metres."""
+
+    sigma_m: float
+    """Standard error of a point."""
+    wall_m: float
+    """Points that reach over more height stand for a wall."""
+    loosest_m: float
+    """A plane whose height at the cell's centre has a larger standard error is none: it lies beside its points."""
+
+
 SMALL_RANGE, SMALL_PENALTY = 0.75, 0.2
 """Up to this share of the maximum range the weight falls by the penalty; beyond it, to nothing (fig. 6)."""
 
 
 @njit(cache=True, nogil=True)
-def fit(sums, count, sensor_z, cells_per_m, point_sigma_m, cells):
+def fit(sums, count, sensor_z, cells_per_m, shape, cells):
     """Heights of `count` cells, and gradients where the points make a plane (eqs. 1 to 7): 3 or more, not on a line.
 
-    How far they are from a line is the smallest eigenvalue λ of the scatter of their places. It gives the standard
-    error of the slope, too, in the direction in which that is largest: σ / √(n·λ).
+    How far they are from a line is the smallest eigenvalue λ of the scatter S of their places. It gives the standard
+    error of the slope, too, in the direction in which that is largest: σ / √(n·λ). That of the height at the centre, at
+    d from their middle, is σ √((1 + dᵀS⁻¹d) / n). Of a wall, the height is that of the highest point.
     """
-    sigma = point_sigma_m * cells_per_m
+    sigma = shape.sigma_m * cells_per_m
     least2 = max(COLLINEAR * COLLINEAR * sigma * sigma, ROUNDING2)
     for k in range(count):
         s, cell = sums[k], cells[k]
@@ -39,12 +63,17 @@ def fit(sums, count, sensor_z, cells_per_m, point_sigma_m, cells):
         thinnest2 = (uu + vv) / 2 - math.sqrt(half * half + uv * uv)
         a, b, error = 0.0, 0.0, 0.0
         cell.flags = HEIGHT
-        if s.n >= 3.0 and thinnest2 > least2:
-            uw, vw = s.uw / s.n - u * w, s.vw / s.n - v * w
+        if s.high - s.low > shape.wall_m:
+            w = s.high
+            cell.flags = HEIGHT | WALL
+        elif s.n >= 3.0 and thinnest2 > least2:
             determinant = uu * vv - uv * uv
-            a, b = (uw * vv - vw * uv) / determinant, (vw * uu - uw * uv) / determinant
-            error = sigma / math.sqrt(s.n * thinnest2)
-            cell.flags = HEIGHT | GRADIENTS
+            aside = (u * u * vv - 2.0 * u * v * uv + v * v * uu) / determinant
+            if shape.sigma_m * math.sqrt((1.0 + aside) / s.n) <= shape.loosest_m:
+                uw, vw = s.uw / s.n - u * w, s.vw / s.n - v * w
+                a, b = (uw * vv - vw * uv) / determinant, (vw * uu - uw * uv) / determinant
+                error = sigma / math.sqrt(s.n * thinnest2)
+                cell.flags = HEIGHT | GRADIENTS | PLANE
         cell.height = w - a * u - b * v + sensor_z
         cell.gradient_x = np.float32(a * cells_per_m)
         cell.gradient_y = np.float32(b * cells_per_m)
@@ -52,11 +81,13 @@ def fit(sums, count, sensor_z, cells_per_m, point_sigma_m, cells):
 
 
 @njit(inline="always")
-def neighbour(a, b, grid, first_slot):
-    """The slot of the cell (a, b) of the window; negative where this scan did not hit it."""
+def neighbour(a, b, grid, first_slot, cells):
+    """The slot of the cell (a, b) of the window; negative where this scan did not hit it, or hit a wall there: what
+    stands beside a cell says nothing of its slope."""
     if a < 0 or b < 0 or a >= WINDOW or b >= WINDOW:
         return -1
-    return grid[place_of(a, b)] - first_slot
+    slot = grid[place_of(a, b)] - first_slot
+    return -1 if slot >= 0 and cells[slot].flags & WALL else slot
 
 
 @njit(inline="always")
@@ -80,11 +111,11 @@ def difference_neighbours(sums, places, count, grid, first_slot, cells_per_m, po
     sigma = point_sigma_m * cells_per_m
     for k in range(count):
         cell = cells[k]
-        if cell.flags & GRADIENTS:
+        if cell.flags & (GRADIENTS | WALL):
             continue
         a, b = cell_at(places[k])
-        west, east = neighbour(a - 1, b, grid, first_slot), neighbour(a + 1, b, grid, first_slot)
-        south, north = neighbour(a, b - 1, grid, first_slot), neighbour(a, b + 1, grid, first_slot)
+        west, east = neighbour(a - 1, b, grid, first_slot, cells), neighbour(a + 1, b, grid, first_slot, cells)
+        south, north = neighbour(a, b - 1, grid, first_slot, cells), neighbour(a, b + 1, grid, first_slot, cells)
         cell.gradient_x, variance_x, has_x = difference(west, k, east, sums, cells, cells_per_m)
         cell.gradient_y, variance_y, has_y = difference(south, k, north, sums, cells, cells_per_m)
         cell.gradient_error = np.float32(sigma * math.sqrt(max(variance_x, variance_y)))
@@ -131,24 +162,29 @@ def occupy_all(count, max_slope, cells):
 # --- the same, as slowly as it reads ---------------------------------------------------------------------------------
 
 
-def fit_reference(sums: Array, sensor_z: float, cells_per_m: float, point_sigma_m: float) -> Array:
+def fit_reference(sums: Array, sensor_z: float, cells_per_m: float, shape: Shape) -> Array:
     """(K,) CELL with height and gradients: β = (XᵀX)⁻¹ XᵀY (eq. 7), with X = [1 u v] and Y = w, where that is sound."""
     n, u, v, w = (sums[name] for name in ("n", "u", "v", "w"))
     spread = np.array([[sums["uu"], sums["uv"]], [sums["uv"], sums["vv"]]]) / n
     spread -= np.array([[u * u, u * v], [u * v, v * v]]) / n**2
     thinnest2 = np.linalg.eigvalsh(spread.transpose(2, 0, 1))[:, 0]
-    sigma = point_sigma_m * cells_per_m
-    sound = (n >= 3) & (thinnest2 > max((COLLINEAR * sigma) ** 2, ROUNDING2))
+    sigma = shape.sigma_m * cells_per_m
+    wall = sums["high"] - sums["low"] > shape.wall_m
+    sound = ~wall & (n >= 3) & (thinnest2 > max((COLLINEAR * sigma) ** 2, ROUNDING2))
+    middle = np.stack([u, v], axis=-1) / n[:, None]
+    inverse = np.linalg.inv(np.where(sound[:, None, None], spread.transpose(2, 0, 1), np.eye(2)))
+    aside = np.einsum("ki,kij,kj->k", middle, inverse, middle)
+    sound &= shape.sigma_m * np.sqrt((1 + aside) / n) <= shape.loosest_m
     XtX = np.array([[n, u, v], [u, sums["uu"], sums["uv"]], [v, sums["uv"], sums["vv"]]]).transpose(2, 0, 1)
     XtY = np.stack([w, sums["uw"], sums["vw"]], axis=-1)
     beta = np.zeros((len(sums), 3))
-    beta[:, 0] = w / n
+    beta[:, 0] = np.where(wall, sums["high"], w / n)
     beta[sound] = np.linalg.solve(XtX[sound], XtY[sound][..., None])[..., 0]
     cells = np.zeros(len(sums), CELL)
     cells["height"] = beta[:, 0] + sensor_z
     cells["gradient_x"], cells["gradient_y"] = (beta[:, axis] * cells_per_m for axis in (1, 2))
     cells["gradient_error"][sound] = sigma / np.sqrt((n * thinnest2)[sound])
-    cells["flags"] = np.where(sound, HEIGHT | GRADIENTS, HEIGHT)
+    cells["flags"] = np.where(sound, HEIGHT | GRADIENTS | PLANE, np.where(wall, HEIGHT | WALL, HEIGHT))
     return cells
 
 
@@ -158,10 +194,11 @@ def difference_neighbours_reference(
     """Fill in the gradients of cells (K,) in rising (j, i) order that have no plane."""
     height = np.full((j.max() - j.min() + 3, i.max() - i.min() + 3), np.nan)
     row, column = j - j.min() + 1, i - i.min() + 1
-    height[row, column] = cells["height"]
+    wall = cells["flags"] & WALL != 0
+    height[row, column] = np.where(wall, np.nan, cells["height"])
     variance = np.full(height.shape, np.nan)
-    variance[row, column] = (point_sigma_m * cells_per_m) ** 2 / sums["n"]
-    bare = cells["flags"] & GRADIENTS == 0
+    variance[row, column] = np.where(wall, np.nan, (point_sigma_m * cells_per_m) ** 2 / sums["n"])
+    bare = cells["flags"] & (GRADIENTS | WALL) == 0
     for name, flag, (dj, di) in (("gradient_x", GRADIENT_X, (0, 1)), ("gradient_y", GRADIENT_Y, (1, 0))):
         below, above = height[row - dj, column - di], height[row + dj, column + di]
         sides = 2.0 - np.isnan(below) - np.isnan(above)
@@ -199,5 +236,6 @@ def occupy_reference(cells: Array, max_slope: float) -> None:
     """Fill in the occupation."""
     east, north = (cells[name].astype(np.float64) for name in ("gradient_x", "gradient_y"))
     error, both = cells["gradient_error"].astype(np.float64), cells["flags"] & GRADIENTS == GRADIENTS
-    cells["occupation"], known = occupation_reference(east, north, error, both, max_slope)
+    wall = cells["flags"] & WALL != 0
+    cells["occupation"], known = occupation_reference(east, north, error, both, wall, max_slope)
     cells["flags"][known] |= OCCUPATION

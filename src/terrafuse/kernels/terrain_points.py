@@ -18,9 +18,10 @@ from terrafuse.lattice import MAX_CELL
 from terrafuse.types import Array, Floats
 
 SUMS = np.dtype(
-    [(name, "<f8") for name in ("n", "u", "v", "w", "uu", "uv", "vv", "uw", "vw")] + [("hit", "<u8")],
+    [(name, "<f8") for name in ("n", "u", "v", "w", "uu", "uv", "vv", "uw", "vw", "low", "high")] + [("hit", "<u8")],
 )
-"""Of one cell's points: how many, Σu, Σv, Σw, the sums of products that a plane needs, a bit for each sub-cell hit."""
+"""Of one cell's points: how many, Σu, Σv, Σw, the sums of products that a plane needs, the least and the greatest w, a
+bit for each sub-cell hit."""
 
 
 class PointList(NamedTuple):
@@ -130,6 +131,7 @@ def add_up(places, parts, u, v, w, n, grid, first_slot, cell_places, sums):
 @njit(inline="always")
 def clear(s):
     s.n = s.u = s.v = s.w = s.uu = s.uv = s.vv = s.uw = s.vw = 0.0
+    s.low, s.high = np.inf, -np.inf
     s.hit = np.uint64(0)
 
 
@@ -144,6 +146,8 @@ def hit(s, part, u, v, w):
     s.vv += v * v
     s.uw += u * w
     s.vw += v * w
+    s.low = min(s.low, w)
+    s.high = max(s.high, w)
     s.hit |= np.uint64(1) << np.uint64(part)
 
 
@@ -172,6 +176,9 @@ def add_up_reference(i: Array, j: Array, u: Floats, v: Floats, w: Floats, across
     terms = {"n": ones, "u": u, "v": v, "w": w, "uu": u * u, "uv": u * v, "vv": v * v, "uw": u * w, "vw": v * w}
     for name, term in terms.items():
         sums[name] = np.bincount(cell_of, term, len(cells))
+    sums["low"], sums["high"] = np.inf, -np.inf
+    np.minimum.at(sums["low"], cell_of, w)
+    np.maximum.at(sums["high"], cell_of, w)
     row, column = (np.minimum((a + 0.5) * across, across - 1).astype(np.uint64) for a in (v, u))
     np.bitwise_or.at(sums["hit"], cell_of, np.uint64(1) << (row * np.uint64(across) + column))
     return cells % width + west, cells // width + south, sums

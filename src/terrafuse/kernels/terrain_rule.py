@@ -16,16 +16,23 @@ from terrafuse.kernels.terrain import (
     GRADIENT_X,
     GRADIENT_Y,
     GRADIENTS,
+    HEIGHT,
     KNOWN,
     MOST_CONFIDENT,
     OCCUPATION,
+    PLANE,
     PRIOR,
+    SHAPES,
+    WALL,
     Rules,
 )
 from terrafuse.types import Array, Floats
 
-BLEND, SURER, CHANGED = range(3)
-"""Outcomes of the rule: mean of both; the surer of both; the newer of both."""
+BLEND, SURER, CHANGED, WALLS, GLIMPSE = range(5)
+"""Outcomes of the rule: mean of both; the surer of both; the newer of both; two that are one wall; a wall, and loose
+points that may well be on it."""
+UPRIGHT = HEIGHT | OCCUPATION | WALL
+"""What is known of a wall: it has no slope, and is occupied."""
 
 SURE = 3.0
 """What is further off than so many standard errors is not noise."""
@@ -41,8 +48,10 @@ def occupy(cell, max_slope):
     east, north = np.float64(cell.gradient_x), np.float64(cell.gradient_y)
     slope, doubt = math.sqrt(east * east + north * north), SURE * cell.gradient_error
     told = cell.flags & GRADIENT_X and cell.flags & GRADIENT_Y and doubt <= max_slope
-    known = told or slope - doubt >= max_slope
-    cell.occupation = np.float32(min(slope / max_slope, 1.0) if known else 0.0)
+    wall = cell.flags & WALL != 0
+    known = told or wall or slope - doubt >= max_slope
+    share = 1.0 if wall else min(slope / max_slope, 1.0)
+    cell.occupation = np.float32(share if known else 0.0)
     cell.flags = (cell.flags | OCCUPATION) if known else (cell.flags & ~OCCUPATION)
 
 
@@ -68,7 +77,14 @@ def similar(a, b, rules):
 
 @njit(inline="always")
 def outcome(a, b, confidence_a, confidence_b, rules):
-    """What becomes of two cells: BLEND, SURER or CHANGED."""
+    """What becomes of two cells. What was given, or stands for finer cells, is never part of a wall."""
+    if (a.flags | b.flags) & WALL and not (a.flags | b.flags) & (PRIOR | COARSE):
+        if a.flags & b.flags & WALL:
+            return WALLS
+        if not (a.flags | b.flags) & PLANE:
+            return GLIMPSE
+        if abs(a.height - b.height) <= rules.height_tolerance:
+            return WALLS  # and its roof
     if similar(a, b, rules):
         return BLEND
     if abs(confidence_a - confidence_b) > rules.confidence_gap:
@@ -116,11 +132,36 @@ def blend(own, new, confidence_own, confidence_new, rules):
     own.gradient_y = weighted_gradient(own.gradient_y, new.gradient_y, one & y != 0, other & y != 0, weights)
     own.confidence = min(np.float32(1.0 - (1.0 - confidence_own) * (1.0 - confidence_new)), MOST_CONFIDENT)
     own.rival = np.float32(0.0)
-    own.flags = (one | other) & (KNOWN | COARSE) | (one & other & PRIOR)
+    own.flags = (one | other) & (KNOWN | COARSE | SHAPES) | (one & other & PRIOR)
     if own.flags & COARSE:
         own.occupation = max(own.occupation, new.occupation)
     else:
         occupy(own, rules.max_slope)
+
+
+@njit(inline="always")
+def join_walls(own, new, confidence_own, confidence_new):
+    """own := the wall that both are, up to the higher top; its stamp and revision are the caller's to set."""
+    own.height = max(own.height, new.height)
+    own.gradient_x = own.gradient_y = own.gradient_error = own.rival = np.float32(0.0)
+    own.occupation = np.float32(1.0)
+    own.confidence = min(np.float32(1.0 - (1.0 - confidence_own) * (1.0 - confidence_new)), MOST_CONFIDENT)
+    own.flags = UPRIGHT
+
+
+@njit(inline="always")
+def glimpse(own, new, stamp):
+    """own := the wall that one of both is, up to the higher of both. Returns whether anything changed.
+
+    The wall's confidence and stamp stay: loose points might be on something else.
+    """
+    top = max(own.height, new.height)
+    changed = not own.flags & WALL
+    if changed:
+        take(own, new, stamp)
+    changed |= top > own.height
+    own.height = top
+    return changed
 
 
 @njit(inline="always")
@@ -146,12 +187,13 @@ SURFACE = (
 
 
 def occupation_reference(
-    east: Floats, north: Floats, error: Floats, both_known: Array, max_slope: float
+    east: Floats, north: Floats, error: Floats, both_known: Array, wall: Array, max_slope: float
 ) -> tuple[Floats, Array]:
-    """(occupation, whether it is known): |∇z| / max_slope, at most 1. One gradient alone tells only that it is 1."""
+    """(occupation, whether it is known): |∇z| / max_slope, at most 1, of a wall 1. One gradient alone tells only that
+    it is 1."""
     slope, doubt = np.sqrt(east * east + north * north), SURE * error
-    known = (both_known & (doubt <= max_slope)) | (slope - doubt >= max_slope)
-    return np.where(known, np.minimum(slope / max_slope, 1.0), 0.0), known
+    known = (both_known & (doubt <= max_slope)) | (slope - doubt >= max_slope) | wall
+    return np.where(wall, 1.0, np.where(known, np.minimum(slope / max_slope, 1.0), 0.0)), known
 
 
 def similar_reference(a: Array, b: Array, rules: Rules) -> Array:
@@ -176,10 +218,16 @@ def similar_reference(a: Array, b: Array, rules: Rules) -> Array:
 
 
 def outcome_reference(a: Array, b: Array, confidence_a: Floats, confidence_b: Floats, rules: Rules) -> Array:
-    """BLEND, SURER or CHANGED of each pair of cells."""
+    """What becomes of each pair of cells."""
+    either, both = a["flags"] | b["flags"], a["flags"] & b["flags"]
+    upright = (either & WALL != 0) & (either & (PRIOR | COARSE) == 0)
     gap = abs(confidence_a - confidence_b) > rules.confidence_gap
     unsure = (confidence_a < rules.confidence_high) & (confidence_b < rules.confidence_high)
-    return np.where(similar_reference(a, b, rules), BLEND, np.where(gap | unsure, SURER, CHANGED))
+    plain = np.where(similar_reference(a, b, rules), BLEND, np.where(gap | unsure, SURER, CHANGED))
+    glimpsed = upright & (both & WALL == 0) & (either & PLANE == 0)
+    near = abs(a["height"] - b["height"]) <= rules.height_tolerance
+    joined = upright & ((both & WALL != 0) | near)
+    return np.where(glimpsed, GLIMPSE, np.where(joined, WALLS, plain))
 
 
 def blend_reference(a: Array, b: Array, confidence_a: Floats, confidence_b: Floats, rules: Rules) -> Array:
@@ -198,14 +246,39 @@ def blend_reference(a: Array, b: Array, confidence_a: Floats, confidence_b: Floa
     error = np.where(alike, mean_error, np.maximum(*errors)).astype(np.float32)
     out["gradient_error"] = error
     out["confidence"] = np.minimum(1 - (1 - confidence_a) * (1 - confidence_b), MOST_CONFIDENT)
-    flags = (a["flags"] | b["flags"]) & (KNOWN | COARSE) | (a["flags"] & b["flags"] & PRIOR)
+    flags = (a["flags"] | b["flags"]) & (KNOWN | COARSE | SHAPES) | (a["flags"] & b["flags"] & PRIOR)
     east, north = (out[name].astype(np.float64) for name in ("gradient_x", "gradient_y"))
     both_known = flags & GRADIENTS == GRADIENTS
-    share, known = occupation_reference(east, north, error.astype(np.float64), both_known, rules.max_slope)
+    wall = flags & WALL != 0
+    share, known = occupation_reference(east, north, error.astype(np.float64), both_known, wall, rules.max_slope)
     coarse = flags & COARSE != 0
     out["occupation"] = np.where(coarse, np.maximum(a["occupation"], b["occupation"]), share)
     out["flags"] = np.where(coarse, flags, np.where(known, flags | OCCUPATION, flags & ~OCCUPATION))
     out["rival"] = 0.0
     out["stamp"] = np.maximum(a["stamp"], b["stamp"])
+    out["revision"] = np.maximum(a["revision"], b["revision"])
+    return out
+
+
+def join_walls_reference(a: Array, b: Array, confidence_a: Floats, confidence_b: Floats) -> Array:
+    """Each pair of walls as one; stamps and revisions are the later ones."""
+    out = a.copy()
+    out["height"] = np.maximum(a["height"], b["height"])
+    for name in ("gradient_x", "gradient_y", "gradient_error", "rival"):
+        out[name] = 0.0
+    out["occupation"], out["flags"] = 1.0, UPRIGHT
+    out["confidence"] = np.minimum(1 - (1 - confidence_a) * (1 - confidence_b), MOST_CONFIDENT)
+    out["stamp"] = np.maximum(a["stamp"], b["stamp"])
+    out["revision"] = np.maximum(a["revision"], b["revision"])
+    return out
+
+
+def glimpse_reference(a: Array, b: Array) -> Array:
+    """Of each pair the wall, up to the higher of both."""
+    first = a["flags"] & WALL != 0
+    out = a.copy()
+    for name in SURFACE:
+        out[name] = np.where(first, a[name], b[name])
+    out["height"] = np.maximum(a["height"], b["height"])
     out["revision"] = np.maximum(a["revision"], b["revision"])
     return out

@@ -70,6 +70,10 @@ class Terrain:
     """Standard error of a measured point, in any direction. It says which points lie on a line, and how far off the
     slope of a plane may be: gradients tell surfaces apart, and make an occupation, as far as that error lets them."""
 
+    wall_slope: float | None = 1.5
+    """Points of a cell that reach over more height than ground so steep does from corner to corner stand for a wall,
+    whose height is that of its top. None: they have a mean or a plane, as in the paper."""
+
     name = "terrain"
     cell = terrain.CELL
     picture_layer = "height"
@@ -78,7 +82,9 @@ class Terrain:
     def __post_init__(self) -> None:
         if math.isqrt(max(self.subcells, 0)) ** 2 != self.subcells or not 1 <= self.subcells <= 64:
             raise InputError(f"subcells {self.subcells}: give a square number from 1 to 64, such as 16, 25 or 64")
-        for field in ("max_slope", "half_life_s", "similar_angle_rad", "similar_height_m", "point_sigma_m"):
+        for field in (
+            "max_slope", "half_life_s", "similar_angle_rad", "similar_height_m", "point_sigma_m", "wall_slope",
+        ):  # fmt: skip
             value = getattr(self, field)
             if value is not None and not 0 < value < math.inf:
                 raise InputError(f"{field} {value}: give a positive number")
@@ -104,6 +110,11 @@ class Terrain:
             self.max_slope,
             self.coarse_confidence,
         )
+
+    def shape(self, resolution_m: float) -> terrain_planes.Shape:
+        """What tells planes, walls and loose points apart in cells of this side."""
+        wall_m = math.inf if self.wall_slope is None else self.wall_slope * math.sqrt(2) * resolution_m
+        return terrain_planes.Shape(self.point_sigma_m, wall_m, self.rules(resolution_m).height_tolerance / 3)
 
     def range_m(self, scan: Scan) -> float:
         """The maximum range that counts for a scan."""
@@ -279,6 +290,7 @@ class TerrainObserver:
         self.seconds = dict.fromkeys(STAGES, 0.0)
         """Time spent, by stage."""
         self._model, self._lattice, self._rules = model, lattice, model.rules(lattice.resolution_m)
+        self._shape = model.shape(lattice.resolution_m)
         self._grid = np.zeros(rasterise.NOWHERE + 1, np.int32)
         self._first_slot = 1
         across = rasterise.WINDOW // lattice.tile_cells + 2
@@ -332,7 +344,7 @@ class TerrainObserver:
         clock.append(perf_counter())
         count = terrain_points.add_up(*self._points, len(points), grid, first_slot, places, sums)
         self._first_slot += count
-        terrain_planes.fit(sums, count, T[2, 3], per_m, model.point_sigma_m, cells)
+        terrain_planes.fit(sums, count, T[2, 3], per_m, self._shape, cells)
         clock.append(perf_counter())
         terrain_planes.difference_neighbours(sums, places, count, grid, first_slot, per_m, model.point_sigma_m, cells)
         clock.append(perf_counter())

@@ -90,7 +90,7 @@ def measures(replica: Replica, known: Truth) -> dict[str, Any]:
         out["ghost_cells"] = int(ghosts(errors, known.height).sum())
         if CONFIDENCE in layers:
             confidence = views.mosaic(replica, [layers[CONFIDENCE]], known.window)[CONFIDENCE]
-            out["rmse_by_confidence_third_m"] = calibration(errors, confidence)
+            out["rmse_by_confidence_third_m"] = calibration(beyond(errors, known.height), confidence)
     return out
 
 
@@ -111,6 +111,15 @@ def ghosts(errors: Floats, height: Floats) -> Array:
     """Cells that are higher in the map than anything stands within a cell of them."""
     highest = _highest(np.nan_to_num(height, nan=-np.inf))
     return np.asarray(np.nan_to_num(errors + height, nan=-np.inf) > highest + GHOST_M)
+
+
+def beyond(errors: Floats, height: Floats) -> Floats:
+    """(H, W): how far the map is above or below all that is truly within a cell of the place; 0 between. In a cell that
+    a wall goes through, its top is as true as its foot."""
+    claimed = errors + height
+    high = _highest(np.nan_to_num(height, nan=-np.inf))
+    low = -_highest(np.nan_to_num(-height, nan=-np.inf))
+    return np.asarray(np.where(np.isfinite(claimed), claimed - np.clip(claimed, low, high), np.nan))
 
 
 def calibration(errors: Floats, confidence: Floats) -> list[float]:

@@ -1,0 +1,145 @@
+"""What the village patrol shows: the *patrol* paper's tables 2 and 3, and how the guessed heights come true."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from terrafuse.simulate.mission.engine import Mission
+from terrafuse.simulate.mission.measures import Truth, error_facts, height_errors, truth_of
+from terrafuse.simulate.mission.ownmap import live
+from terrafuse.simulate.mission.tables import Cell, Table
+from terrafuse.simulate.mission.timeline import Timeline
+from terrafuse.simulate.mission.vehicle import Vehicle
+from terrafuse.simulate.scenario import Loaded, with_robots
+from terrafuse.simulate.scenario.read import changed
+
+STAGES_OF_PAPER: dict[str, tuple[int, int, int]] = {
+    "collision points": (55, 55, 70),
+    "heights": (5, 5, 5),
+    "gradients": (130, 140, 307),
+    "confidence": (82, 60, 70),
+    "occupation": (30, 30, 35),
+    "merge into HRM": (5, 1, 5),
+    "HRM to LLRM": (110, 105, 110),
+    "LLRM into GLRM": (4, 5, 5),
+}
+"""Table 2, milliseconds: three robots, each on a Core i3 of 2.2 GHz."""
+PAPER_S: dict[int, int] = {1: 445, 2: 310, 3: 190}
+"""Table 3, simulated seconds to map everything, by robots."""
+FLEETS = (1, 2, 3, 6, 12)
+MAPPED = 0.95
+SAMPLE_S = 30.0
+
+
+def stage_table(mission: Mission) -> Table:
+    """Table 2: milliseconds that each stage takes, a robot a column, and the paper's."""
+    several = mission.vehicles[:6]
+    of_robots = [_stage_ms(mission, vehicle) for vehicle in several]
+    headings = ("stage, ms", *(vehicle.name for vehicle in several), *(f"paper, robot {n}" for n in (1, 2, 3)))
+    rows: list[tuple[Cell, ...]] = [
+        (stage, *(ms[stage] for ms in of_robots), *paper) for stage, paper in STAGES_OF_PAPER.items()
+    ]
+    sums = ("all", *(sum(ms.values()) for ms in of_robots), *map(sum, zip(*STAGES_OF_PAPER.values(), strict=True)))
+    scans = sum(vehicle.mapper.revision for vehicle in several) or 1
+    points = sum(vehicle.points for vehicle in several) / scans
+    return Table(
+        "Milliseconds a stage (table 2 of the patrol paper)", headings, (*rows, sums),
+        f"Up to the merge into the HRM: a scan of {points:,.0f} points in the mean. HRM to LLRM: one report of what "
+        "changed since the one before. LLRM into GLRM: one delta, taken in by the station. The paper: Core i3, 2.2 GHz, "
+        "C#; how many points a scan had, it does not say.",
+    )  # fmt: skip
+
+
+def _stage_ms(mission: Mission, vehicle: Vehicle) -> dict[str, float]:
+    scans = max(vehicle.mapper.revision, 1)
+    out = {stage: 1e3 * seconds / scans for stage, seconds in vehicle.mapper.observing.items()}
+    observing = sum(out.values())
+    merged_s = vehicle.mapper.seconds["merge"] + vehicle.mapper.seconds["load"] + vehicle.mapper.seconds["evict"]
+    rest = 1e3 * vehicle.mapper.seconds["observe"] / scans - observing
+    out["merge into HRM"] = 1e3 * merged_s / scans + max(rest, 0.0)
+    out["HRM to LLRM"] = 1e3 * vehicle.node.seconds["coarsen"] / max(vehicle.node.reports, 1)
+    deltas = mission.station.facts().get("deltas_applied", 0)
+    out["LLRM into GLRM"] = 1e3 * mission.station.seconds / max(deltas, 1)
+    return out
+
+
+class Heights:
+    """A watcher: every so often, how far the robots' fused fine map is from the true heights of the buildings."""
+
+    def __init__(self, mission: Mission) -> None:
+        self.rows: list[tuple[Cell, ...]] = []
+        self._known: Truth = truth_of(mission.world, mission.lattice)
+        self._next_s = SAMPLE_S
+
+    def __call__(self, mission: Mission) -> None:
+        if mission.now_s + 1e-9 < self._next_s:
+            return
+        self._next_s += SAMPLE_S
+        self.sample(mission)
+
+    def sample(self, mission: Mission) -> None:
+        seen = live([vehicle.mapper for vehicle in mission.vehicles])
+        errors = height_errors(seen, self._known)
+        facts = error_facts(errors, self._known.houses)
+        streets = error_facts(errors, self._known.streets)
+        self.rows.append((round(mission.now_s, 1), facts["cells"], facts["rmse_m"], facts["bias_m"], streets["rmse_m"]))
+
+    def table(self) -> Table:
+        return Table(
+            "Heights of what was seen, in the HRM's cells",
+            ("simulated s", "building cells", "RMSE, m", "bias, m", "streets RMSE, m"),
+            tuple(self.rows),
+            "Against the true height at each cell's centre. The prior, which has all buildings at one height, is left out.",
+        )
+
+
+def growth_table(timeline: Timeline) -> Table:
+    """The station's global map as time goes by: what is mapped, and the buildings' heights, the guesses included."""
+    rows = timeline.rows
+    some = [rows[k] for k in sorted({round(k * (len(rows) - 1) / 11) for k in range(12)})] if rows else []
+    return Table(
+        "The global map (GLRM) as it grows",
+        ("simulated s", "streets mapped", "at the station", "building RMSE, m", "of what was seen, m", "cells seen"),
+        tuple(
+            (
+                row["time_s"], row["mapped_share"], row["mapped_share_at_station"], row.get("building_rmse_map_m"),
+                row.get("building_rmse_seen_m"), row.get("building_cells_seen"),
+            )
+            for row in some
+        ),
+        "Cells of 5 m that are a building's by half or more, against the mean of the true heights within. Before "
+        "anything is seen, the map has the prior's guess.",
+    )  # fmt: skip
+
+
+def fleet_table(loaded: Loaded, counts: Sequence[int] = FLEETS, tell: Callable[[str], None] = lambda _: None) -> Table:
+    """Table 3: simulated seconds until the streets are mapped, by the number of robots."""
+    times: dict[int, float | None] = {}
+    for count in counts:
+        tell(f"{count} robots")
+        times[count] = mapped_s(with_robots(changed(loaded, stop_mapped_share=MAPPED, duration_s=20_000.0), count))
+    alone = times.get(1)
+    rows = tuple(
+        (count, seconds, alone / seconds if alone and seconds else None, PAPER_S.get(count),
+         PAPER_S[1] / PAPER_S[count] if count in PAPER_S else None)
+        for count, seconds in times.items()
+    )  # fmt: skip
+    return Table(
+        f"Simulated seconds until {MAPPED:.0%} of the streets are mapped (table 3 of the patrol paper)",
+        ("robots", "seconds", "speed-up", "paper, s", "its speed-up"),
+        rows,
+        "Street cells of 5 m that some robot has in its own map. All start at the station, in the middle. The paper's "
+        "village is another one.",
+    )
+
+
+def mapped_s(loaded: Loaded) -> float | None:
+    """When a mission has mapped what its scenario asks for."""
+    with TemporaryDirectory() as folder:
+        mission = Mission(loaded, folder=Path(folder))
+        timeline = Timeline(mission)
+        mission.run([timeline])
+    share = loaded.scenario.stop_mapped_share
+    return None if share is None else timeline.reached_s(share)

@@ -308,7 +308,7 @@ def test_what_can_not_be_posted() -> None:
 
 def listening(**options: object) -> tuple[Courier, Link, Replica]:
     """A station with r1 and what it holds, and the link of somebody else."""
-    hub = MemoryHub(100_000)
+    hub = MemoryHub(200)
     replica = Replica(LATTICE, MODEL)
     return Courier(hub.link(STATION), replica.store, **options), hub.link("r1"), replica  # type: ignore[arg-type]
 

@@ -16,11 +16,12 @@ A topic is what a message is about, then whom it is from or for, parts divided b
 
 | topic | payload | who listens |
 |---|---|---|
-| `delta/ROBOT` | cells that this robot reports, whoever passes them on | every replica |
+| `delta/ROBOT/NODE` | cells that this robot reports, sent by that node, be it another | every replica |
 | `global/ROBOT` | global cells for this robot | that robot |
 | `summary/NODE` | which revisions this node holds | whoever can help it |
 | `query/NODE`, `reply/NODE` | a question to this node, an answer for it | that node |
 | `pose/ROBOT`, `health/NODE` | where this robot is, how this node fares | whoever shows or judges it |
+| `post/NODE/SENDER` | the newest message of its kind to this node | that node |
 | `correction/ROBOT` | a pose correction for this robot | that robot |
 
 Who sent a frame stands in its topic or payload. A carrier that knows credentials binds them to topics: it refuses what

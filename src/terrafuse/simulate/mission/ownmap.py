@@ -84,6 +84,13 @@ class OwnMap:
         costs = cost_map(self._replica, robot, bounds)
         return costs if self._global is None else _priced(costs, self._global)
 
+    def known_share(self, bounds: Bounds) -> float:
+        """Of the ground within bounds, what is on the global map, or where there is none, on its own."""
+        replica = self._replica if self._global is None else self._global
+        layer = replica.model.occupied
+        window = replica.lattice.cell_window(bounds)
+        return float(np.isfinite(views.mosaic(replica, [layer], window)[layer.name]).mean())
+
 
 def _priced(costs: CostMap, world_map: Replica) -> CostMap:
     """Dearer where the global map knows of obstacles that the own map does not know."""

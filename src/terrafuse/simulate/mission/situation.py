@@ -61,6 +61,11 @@ class Situation:
         assert self.own_map is not None
         return self.own_map.costs(robot, bounds)
 
+    def known_share(self, bounds: Bounds) -> float:
+        """How much of a part of the world is on the map that it shares with the others."""
+        assert self.own_map is not None
+        return self.own_map.known_share(bounds)
+
     def free_ahead_m(self, half_width_m: float, direction_rad: float = 0.0) -> float:
         """How far the way in a direction, from its own x, is free of what its scans met; inf if all the way."""
         if not len(self.obstacles_m):
@@ -70,6 +75,14 @@ class Situation:
         across = c * self.obstacles_m[:, 1] - s * self.obstacles_m[:, 0]
         ahead = along[(np.abs(across) <= half_width_m) & (along > 0)]
         return float(ahead.min(initial=math.inf))
+
+
+def echoes_of(points_m: Floats, T_base_sensor: Pose, reach_m: float) -> Floats:
+    """(K, 2): all of a sonar's readings within reach. How high an echo came from no sonar knows, and it hears no ground
+    that it does not look down on."""
+    matrix = T_base_sensor.matrix
+    places = (points_m @ matrix[:3, :3].T + matrix[:3, 3])[:, :2]
+    return np.asarray(places[np.hypot(*places.T) < reach_m])
 
 
 def obstacles_of(points_m: Floats, T_base_sensor: Pose, reach_m: float) -> Floats:

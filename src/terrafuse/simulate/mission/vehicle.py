@@ -19,7 +19,7 @@ from terrafuse.simulate.mission.exchange import Node
 from terrafuse.simulate.mission.fleet import Drive, Fleet
 from terrafuse.simulate.mission.localiser import Localiser
 from terrafuse.simulate.mission.senses import Around, Sense
-from terrafuse.simulate.mission.situation import Situation, obstacles_of
+from terrafuse.simulate.mission.situation import Situation, echoes_of, obstacles_of
 from terrafuse.simulate.sensors.crosstalk import Ping
 from terrafuse.types import Floats, Pose, Stamp
 
@@ -44,6 +44,9 @@ class Vehicle:
         default_factory=lambda: dict.fromkeys(("simulate", "map", "exchange", "decide"), 0.0)
     )
     """Of processor time, by what it went for."""
+    longest_pause_s: float = 0.0
+    """That a scan took to get into the map, what left the window out of memory, and what came into it back; but not the
+    first scan, which loads the compiled loops."""
     points: int = 0
     way_m: float = 0.0
     _last_m: Floats | None = None
@@ -76,12 +79,16 @@ class Vehicle:
         scan = sense.scan(ranges, stamp_ns, believed)
         if self.recorder is not None:
             self.recorder.scan(stamp_ns, scan.points)
-        obstacles = obstacles_of(scan.points, sense.sensor.mounting.T_base_sensor, OBSTACLE_REACH_M)
+        met = echoes_of if sense.part.kind == "sonar" else obstacles_of
+        obstacles = met(scan.points, sense.sensor.mounting.T_base_sensor, OBSTACLE_REACH_M)
         t1 = perf_counter()
         self.mapper.integrate(scan)
+        took_s = perf_counter() - t1
         self.points += len(scan.points)
         self.seconds["simulate"] += t1 - t0
-        self.seconds["map"] += perf_counter() - t1
+        self.seconds["map"] += took_s
+        if self.mapper.revision > 1:
+            self.longest_pause_s = max(self.longest_pause_s, took_s)
         return obstacles
 
     def _believe(self, fleet: Fleet, believed: Pose) -> None:

@@ -2,7 +2,8 @@
 
 from terrafuse.simulate.mission.behaviours.base import Behaviour, Kind
 from terrafuse.simulate.mission.behaviours.patrol import Patrol, PatrolSettings
+from terrafuse.simulate.mission.behaviours.wander import Wander, WanderSettings
 
-BEHAVIOURS: dict[str, Kind] = {"patrol": (PatrolSettings, Patrol)}
+BEHAVIOURS: dict[str, Kind] = {"patrol": (PatrolSettings, Patrol), "wander": (WanderSettings, Wander)}
 
 __all__ = ["BEHAVIOURS", "Behaviour", "Kind"]

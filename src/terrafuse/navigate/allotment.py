@@ -1,5 +1,5 @@
-"""How a central station allots streets to robots: open routes that together visit places, the longest as short as can
-be found. A net of streets is places `nodes_m` (N, 2) and `edges` (E, 2), which of them a straight piece joins."""
+"""How a central station allots streets to robots: open routes that together visit all places, the longest of them as
+short as can be found (a min-max problem of several travelling salesmen)."""
 
 from __future__ import annotations
 
@@ -8,117 +8,106 @@ from collections.abc import Sequence
 import numpy as np
 
 from terrafuse.errors import InputError
+from terrafuse.kernels.routes import improve
+from terrafuse.navigate.street_net import street_distances, way, waypoints, with_lookouts
 from terrafuse.types import Array, Floats
 
+Visit = int | tuple[int, ...]
+"""A node, or several of which one will do."""
 
-def street_distances(nodes_m: Floats, edges: Array) -> tuple[Floats, Array]:
-    """(metres along the streets (N, N), inf where none leads; next node (N, N) on the way from a row's to a column's).
+ROUNDS = 3
+STEPS, MOST_STEPS = 5_000, 600_000
+"""In each round, for each visit; and at most."""
+NEAREST = 12
+FAR_MM = 10**12
+"""What no way leads to is so far away: further than any way, and still to be counted."""
+GAP_M = 20.0
+SEED = 0x9E3779B97F4A7C15
 
-    The next node is the node itself on the diagonal, -1 where no way leads.
+
+def patrol(
+    nodes_m: Floats, edges: Array, starts: Sequence[int], sight_m: float, right_m: float = 0.0, gap_m: float = GAP_M
+) -> list[Floats]:
+    """Waypoints (K, 2) for each robot from its start node on, so far to the right of the centre lines. Together they
+    see all streets, up to gaps of `gap_m`, if a robot sees `sight_m` along its street, and at a node along all of its.
+
+    Edges (E, 2) join nodes (N, 2). Raises InputError without robots, and for nodes that no robot reaches.
     """
-    count = len(nodes_m)
-    distances = np.where(np.eye(count, dtype=bool), 0.0, np.inf)
-    next_hop = np.where(np.eye(count, dtype=bool), np.arange(count), -1)
-    for a, b in np.asarray(edges).reshape(-1, 2).tolist():
-        length = float(np.sqrt(((nodes_m[a] - nodes_m[b]) ** 2).sum()))
-        if length < distances[a, b]:
-            distances[a, b] = distances[b, a] = length
-            next_hop[a, b], next_hop[b, a] = b, a
-    for k in range(count):
-        through = distances[:, k, None] + distances[k]
-        shorter = through < distances
-        distances = np.where(shorter, through, distances)
-        next_hop = np.where(shorter, next_hop[:, k, None], next_hop)
-    return distances, next_hop
-
-
-def allot(distances: Floats, starts: Sequence[int], visits: Sequence[int]) -> list[list[int]]:
-    """For each robot the nodes that it visits, in order: each of `visits` once, in one robot's route. It begins at its
-    start, which its route names only where that is to be visited; a robot too many has an empty route.
-
-    Raises InputError without robots, and for nodes that no robot reaches.
-    """
-    wanted = sorted(set(visits))
-    _check(distances, starts, wanted)
-    routes: list[list[int]] = [[] for _ in starts]
-    lengths = [0.0 for _ in starts]
-    # The farthest first: who is near them is then clear.
-    for node in sorted(wanted, key=lambda n: (-float(distances[list(starts), n].min()), n)):
-        _, robot, at, length = min(
-            (max(length, 0.0), robot, at, length)
-            for robot, start in enumerate(starts)
-            for at, length in _insertions(distances, start, routes[robot], lengths[robot], node)
-        )
-        routes[robot].insert(at, node)
-        lengths[robot] = length
-    return routes
-
-
-def _check(distances: Floats, starts: Sequence[int], visits: Sequence[int]) -> None:
-    if not len(starts):
-        raise InputError("routes for no robots: give at least one start")
-    if outside := [n for n in (*starts, *visits) if not 0 <= n < len(distances)]:
-        raise InputError(f"nodes {outside} of a net of {len(distances)}: give numbers from 0")
-    if lost := [n for n in visits if not np.isfinite(distances[list(starts), n]).any()]:
-        raise InputError(f"no street leads from the robots' starts to nodes {lost}: leave them out, or join them")
-
-
-def _insertions(distances: Floats, start: int, route: list[int], length: float, node: int) -> list[tuple[int, float]]:
-    """(where, the length then) of putting a node into a route."""
-    stops = [start, *route]
-    out = []
-    for at, before in enumerate(stops):
-        extra = distances[before, node]
-        if at < len(route):
-            extra = extra + distances[node, route[at]] - distances[before, route[at]]
-        out.append((at, float(length + extra)))
-    return out
-
-
-def route_length(distances: Floats, start: int, route: Sequence[int]) -> float:
-    """Metres from the start along a route."""
-    stops = [start, *route]
-    return float(distances[stops[:-1], stops[1:]].sum())
-
-
-def way(next_hop: Array, stops: Sequence[int]) -> list[int]:
-    """All nodes on the way from stop to stop, each passage once: `[start, *route]` for a robot's."""
-    out = [int(stops[0])]
-    for stop in stops[1:]:
-        while out[-1] != stop:
-            out.append(int(next_hop[out[-1], stop]))
-    return out
-
-
-def waypoints(nodes_m: Floats, nodes: Sequence[int], right_m: float = 0.0) -> Floats:
-    """(K, 2) metres along a way through these nodes, so far to the right of the streets' centre lines."""
-    places = np.asarray(nodes_m, np.float64)[list(nodes)]
-    if len(places) < 2 or right_m == 0:
-        return places
-    legs = np.diff(places, axis=0)
-    ahead = legs / np.sqrt((legs**2).sum(axis=1))[:, None]
-    right = right_m * np.stack([ahead[:, 1], -ahead[:, 0]], axis=1)
-    out = [places[0] + right[0]]
-    for here, before, after in zip(places[1:-1], right[:-1], right[1:], strict=True):
-        shared = 1 + float(before @ after) / right_m**2
-        # Where a way turns back, it goes around the node.
-        out += [here + before, here + after] if shared < 0.1 else [here + (before + after) / shared]
-    return np.array([*out, places[-1] + right[-1]])
-
-
-def patrol(nodes_m: Floats, edges: Array, starts: Sequence[int], sight_m: float, right_m: float = 0.0) -> list[Floats]:
-    """Waypoints (K, 2) for each robot, from its start on: together they see all streets, of which a robot sees the
-    parts up to `sight_m` ahead and, at a node, aside."""
-    distances, next_hop = street_distances(nodes_m, edges)
-    routes = allot(distances, starts, range(len(nodes_m)))
+    places, pieces, lookouts = with_lookouts(np.asarray(nodes_m, np.float64), edges, sight_m, gap_m)
+    distances, next_hop = street_distances(places, pieces)
+    visits: list[Visit] = [*range(len(nodes_m)), *((int(a), int(b)) for a, b in lookouts)]
+    routes = allot(distances, starts, visits)
     return [
-        waypoints(nodes_m, way(next_hop, [start, *route]), right_m) for start, route in zip(starts, routes, strict=True)
+        waypoints(places, way(next_hop, [start, *route]), right_m) for start, route in zip(starts, routes, strict=True)
     ]
 
 
+def allot(distances: Floats, starts: Sequence[int], visits: Sequence[Visit]) -> list[list[int]]:
+    """For each robot the nodes that it visits, in order: for each of `visits` one, in one robot's route. A route names
+    the robot's start only where that is to be visited; that of a robot too many is empty.
+
+    `distances` (N, N) in metres, the same both ways. Of the same input the same routes, on any machine. Raises
+    InputError without robots, and for visits that no robot can make.
+    """
+    choices = [visit if isinstance(visit, tuple) else (visit,) for visit in dict.fromkeys(visits)]
+    _check(distances, starts, choices)
+    options = [int(node) for nodes in (starts, *choices) for node in nodes]
+    slots = np.repeat(np.arange(len(starts) + len(choices)), [1] * len(starts) + [len(nodes) for nodes in choices])
+    lengths = np.rint(np.minimum(distances[np.ix_(options, options)] * 1000, FAR_MM)).astype(np.int64)
+    routes = _best(lengths, slots, len(starts))
+    return [[options[option] for option in route[1:]] for route in routes]
+
+
+def _check(distances: Floats, starts: Sequence[int], choices: Sequence[tuple[int, ...]]) -> None:
+    if not len(starts):
+        raise InputError("routes for no robots: give at least one start")
+    named = sorted({*starts, *(node for nodes in choices for node in nodes)})
+    if outside := [node for node in named if not 0 <= node < len(distances)]:
+        raise InputError(f"nodes {outside} of a net of {len(distances)}: give numbers from 0")
+    reached = np.isfinite(distances[list(starts)].min(axis=0))
+    if lost := [nodes for nodes in choices if not reached[list(nodes)].any()]:
+        names = ", ".join(" or ".join(map(str, nodes)) or "none" for nodes in lost)
+        raise InputError(f"no street leads from where robots start to nodes {names}: leave them out, or join them")
+
+
+def _best(lengths: Array, slots: Array, robots: int) -> list[list[int]]:
+    """Of several rounds, the routes whose longest is the shortest; then whose second longest is, and so on."""
+    routes, near = _first(lengths, slots, robots), _near(lengths, slots, robots)
+    if not near.shape[1]:
+        return routes
+    steps = min(STEPS * (int(slots[-1]) + 1), MOST_STEPS)
+    found = [improve(lengths, near, slots, routes, steps, SEED + number) for number in range(ROUNDS)]
+    return min(found, key=lambda routes: sorted((_length(lengths, route) for route in routes), reverse=True))
+
+
+def _length(lengths: Array, route: list[int]) -> int:
+    return int(lengths[route[:-1], route[1:]].sum())
+
+
+def _first(lengths: Array, slots: Array, robots: int) -> list[list[int]]:
+    """Each visit to a robot that starts next to it, to the one that has fewest."""
+    routes = [[robot] for robot in range(robots)]
+    for slot in range(robots, int(slots[-1]) + 1):
+        options = np.flatnonzero(slots == slot)
+        _, _, robot, option = min(
+            (int(lengths[robot, option]), len(routes[robot]), robot, int(option))
+            for robot in range(robots)
+            for option in options
+        )
+        routes[robot].append(option)
+    return routes
+
+
+def _near(lengths: Array, slots: Array, robots: int) -> Array:
+    """(options, n) the nearest options of other slots, no starts."""
+    others = np.where(slots[:, None] == slots[robots:], 2 * FAR_MM, lengths[:, robots:])
+    count = min(NEAREST, int((others < 2 * FAR_MM).sum(axis=1).min()))
+    return np.asarray(robots + np.argsort(others, axis=1, kind="stable")[:, :count])
+
+
 def least_longest_m(distances: Floats, starts: Sequence[int], visits: Sequence[int]) -> float:
-    """No allotment has a longest route shorter than this: the spanning tree of starts and visits, in k equal parts; or
-    the way to the farthest visit."""
+    """No allotment has a longest route shorter than this: the way to the farthest visit, or an equal share of the
+    least tree that joins all visits to starts."""
     nodes = sorted({*visits} - {*starts})
     if not nodes:
         return 0.0
@@ -126,10 +115,9 @@ def least_longest_m(distances: Floats, starts: Sequence[int], visits: Sequence[i
     return max(float(near.max()), _tree_m(distances[np.ix_(nodes, nodes)], near) / len(starts))
 
 
-def _tree_m(distances: Floats, joined: Floats) -> float:
-    """Prim's spanning tree, grown from what is `joined` so far from each node."""
-    near, total = joined.copy(), 0.0
-    left = np.ones(len(near), bool)
+def _tree_m(distances: Floats, near: Floats) -> float:
+    """Prim's spanning tree, grown from what is so near to each node."""
+    left, total = np.ones(len(near), bool), 0.0
     while left.any():
         node = int(np.where(left, near, np.inf).argmin())
         total += float(near[node])

@@ -1,0 +1,56 @@
+"""python -m bench.allotment [--json FILE]
+
+Patrols of the village: when how much of its streets has been seen, by how many robots. Geometry only: robots go along
+their routes at 3 m/s and see 55 m along every street that they are on. All start at the middle.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from tests.navigate.patrols import middle, seen_at_s, seen_share_at_s
+
+from bench.report import parser, tell
+from terrafuse.navigate.allotment import allot, patrol
+from terrafuse.navigate.street_net import street_distances
+from terrafuse.simulate.worlds import village
+
+ROBOTS = (1, 2, 3, 6, 12)
+LANE_M = 1.75
+SIGHT_M = 55.0
+
+
+def patrols(seed: int) -> list[dict[str, Any]]:
+    streets, out = village(seed).streets, list[dict[str, Any]]()
+    for robots in ROBOTS:
+        started = time.process_time()
+        ways = patrol(streets.nodes_m, streets.edges, [middle(streets.nodes_m)] * robots, SIGHT_M, LANE_M)
+        seconds = time.process_time() - started
+        seen_s = seen_at_s(streets.nodes_m, streets.edges, ways, sight_m=SIGHT_M)
+        half_s, most_s, nearly_s = (seen_share_at_s(seen_s, share) for share in (0.5, 0.95, 0.98))
+        out.append(
+            {
+                "robots": robots,
+                "longest route, m": round(max(np.hypot(*np.diff(way, axis=0).T).sum() for way in ways)),
+                "50 % seen after s": round(half_s),
+                "95 % seen after s": round(most_s),
+                "98 % seen after s": round(nearly_s),
+                "times as fast (95 %)": round(out[0]["95 % seen after s"] / most_s, 2) if out else 1.0,
+                "seen in the end": round(float(np.isfinite(seen_s).mean()), 4),
+                "processor seconds": round(seconds, 2),
+            }
+        )
+    return out
+
+
+def main() -> None:
+    options = parser(__doc__).parse_args()
+    net = street_distances(np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([[0, 1]]))
+    allot(net[0], [0, 1], [0, 1])  # Compiles.
+    tell({f"village of seed {seed}": patrols(seed) for seed in (0, 1, 2)}, options.json)
+
+
+if __name__ == "__main__":
+    main()

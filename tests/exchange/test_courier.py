@@ -14,6 +14,7 @@ from terrafuse.exchange.courier import Courier, CourierSettings
 from terrafuse.exchange.framing import frames_of
 from terrafuse.exchange.links import Cut, Faults, Frame, Link, MemoryHub, MisbehavingLink
 from terrafuse.exchange.posts import Post, encode_post
+from terrafuse.exchange.summary import State, Summary, pack
 from terrafuse.mapper import Mapper
 from terrafuse.replica import Replica
 from terrafuse.testing.deltas import deltas_of, random_scans
@@ -73,6 +74,20 @@ def test_nothing_more_is_sent_once_all_is_level_and_nothing_is_new() -> None:
     before = {name: node.courier.counts["frames_sent.delta"] for name, node in nodes.items()}
     run(nodes, 10, 60)
     assert {name: node.courier.counts["frames_sent.delta"] for name, node in nodes.items()} == before
+
+
+def test_who_said_only_part_of_what_it_holds_is_not_sent_all() -> None:
+    """A summary in two messages; the one with this robot's own revision comes later."""
+    hub = MemoryHub(600)
+    nodes = star(scans(1, 4), hub.link)
+    run({"r1": nodes["r1"]}, 0, 2)
+    nodes[STATION].link.close()
+    station, head = hub.link(STATION), Summary(born_ns=1, said_ns=1, replica=True, robots=2)
+    for second, held, expected in ((2, {"r2": 9}, 0), (4, {"r1": 3}, 1)):
+        (message,) = pack(head, State(held), 500)
+        send(station, f"summary/{STATION}", message)
+        run({"r1": nodes["r1"]}, second, second + 2)
+        assert nodes["r1"].courier.counts["messages_sent.delta"] == expected
 
 
 def test_a_message_for_several_peers_is_sent_once() -> None:

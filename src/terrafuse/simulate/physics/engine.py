@@ -71,12 +71,11 @@ class Physics:
         self._data = mujoco().MjData(self._model)
         self._owners = self._model.body_rootid[self._model.geom_bodyid]
         self._ground = self._model.geom(GROUND).id
-        self._traffic = Traffic(world, self._origin_m, time_s)
-        self._start(states, time_s)
+        self._traffic = Traffic(world, self._origin_m, self._model, time_s)
+        self._start(states)
 
-    def _start(self, states: Mapping[str, State], time_s: float) -> None:
-        positions, quaternions = self._traffic.between(time_s, time_s, 1)
-        self._data.mocap_pos[:], self._data.mocap_quat[:] = positions[0], quaternions[0]
+    def _start(self, states: Mapping[str, State]) -> None:
+        self._traffic.place(self._data, 0.0, 1.0)
         for name, fleet in self._fleets.items():
             fleet.put(self._model, self._data, states[name])
         mujoco().mj_forward(self._model, self._data)
@@ -97,8 +96,9 @@ class Physics:
         steps = ceil(dt_s / ticks / self._settings.step_s - 1e-9)
         self._model.opt.timestep = dt_s / ticks / steps
         touched = [self._touched()]
-        for positions, quaternions in zip(*self._traffic.between(time_s, time_s + dt_s, ticks), strict=True):
-            self._data.mocap_pos[:], self._data.mocap_quat[:] = positions, quaternions
+        self._traffic.go(time_s, time_s + dt_s)
+        for tick in range(ticks):
+            self._traffic.place(self._data, tick / ticks, dt_s)
             touched.append(self._tick(commands, dt_s / ticks, steps, touched[-1]))
         return self.states(np.concatenate(touched[1:]))
 

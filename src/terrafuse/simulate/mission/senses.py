@@ -24,6 +24,8 @@ from terrafuse.types import Array, Floats, Pose, Scan, Stamp
 RECEIVER = {"uncoded": "uncoded", "coded": "sliding"}
 USABLE_CODES = (0, 1, 2, 4, 7, 3, 5, 6)
 """Rows of the Walsh–Hadamard matrix; the first five never mistake each other."""
+AT_ONCE_S = 0.05
+"""Rings that fire at once, each at a moment of its own, do so within this."""
 FALSE_BY_M = 0.05
 """A reading that another robot's ping shortened by more is a false echo."""
 
@@ -68,8 +70,10 @@ class Sense:
         return round(1e9 / self.part.rate_hz) if self.part.rate_hz else 0
 
     def ping(self, T_world_base: Pose) -> Ping:
-        """How others hear it, of a ring that fires at once."""
-        delay_s = 0.0 if self.part.pulses == "aligned" else float(self.rng.uniform(0, 0.05))
+        """How others hear its round, or where all fire at once, its one ping."""
+        count = 1 if self.sensor.beams is None else len(self.sensor.beams.angles()[0])
+        round_s = count * self.sensor.firing_period_s or AT_ONCE_S
+        delay_s = 0.0 if self.part.pulses == "aligned" else float(self.rng.uniform(0, round_s))
         code = walsh_hadamard()[USABLE_CODES[self.number % len(USABLE_CODES)]]
         return Ping(self.sonar, T_world_base, delay_s, code)
 
@@ -94,10 +98,12 @@ class Sense:
 
     def scan(self, ranges_m: Floats, stamp_ns: Stamp, T_world_base: Pose) -> Scan:
         """What the robot maps: the readings, at the pose that it believes."""
-        scan = scan_of(self.sensor, ranges_m, stamp_ns, logged(T_world_base))
-        return replace(scan, points=scan.points.astype(np.float32))
+        scan = scan_of(self.sensor, ranges_m, stamp_ns, T_world_base)
+        T_world_sensor = logged(T_world_base) @ logged(self.sensor.mounting.T_base_sensor)
+        return replace(scan, points=scan.points.astype(np.float32), T_world_sensor=T_world_sensor)
 
 
 def logged(pose: Pose) -> Pose:
-    """The pose as a log keeps it: position and quaternion."""
-    return Pose.from_quaternion(pose.position, quaternion_of(pose))
+    """The pose as a log keeps it: position and quaternion, whose length its reader sets to 1 in just this way."""
+    turns = quaternion_of(pose)[None, :]
+    return Pose.from_quaternion(pose.position, (turns / np.linalg.norm(turns, axis=1)[:, None])[0])

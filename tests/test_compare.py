@@ -13,11 +13,13 @@ from hypothesis import strategies as st
 
 from terrafuse.compare import Question, compare_maps, figures
 from terrafuse.errors import InputError
+from terrafuse.export import export_map
 from terrafuse.grids import Grid
 from terrafuse.imports import Wishes, import_map
 from terrafuse.lattice import Lattice
 from terrafuse.mapper import Mapper
 from terrafuse.models import make_model
+from terrafuse.replica import Replica
 from terrafuse.rosmap import Meaning, Placement
 from terrafuse.store.sqlite import SqliteStore
 from terrafuse.types import Bounds
@@ -162,6 +164,45 @@ def test_layers_and_bands(tmp_path: Path) -> None:
         compare_maps(a, b, Question("colour"))
     with pytest.raises(InputError, match=r"b\.tif: no band 'blue'; it has: 1 z_max"):
         compare_maps(a, b, Question(band="blue"))
+
+
+def occupancy_tif(folder: Path, name: str, grey: list[list[int]]) -> Path:
+    """The GeoTIFF of an occupancy map of 1 m cells: greys as in ROS maps."""
+    write_ros(folder / f"{name}.yaml", np.array(grey), placement=Placement(1.0))
+    with SqliteStore.open(imported(folder / f"{name}.yaml", folder / f"{name}.db")) as store:
+        export_map(Replica(store=store), folder / f"{name}.tif")
+    return folder / f"{name}.tif"
+
+
+def test_rasters_of_occupancy_maps_are_compared_by_agreement(tmp_path: Path) -> None:
+    """As their stores are; but what is asked for by name is compared by its values."""
+    a = occupancy_tif(tmp_path, "a", [[0, 254, 254, 205]])
+    b = occupancy_tif(tmp_path, "b", [[0, 254, 0, 0]])
+    got, of_stores = compare_maps(a, b), compare_maps(tmp_path / "a.db", tmp_path / "b.db")
+    assert (got["kind"], got["agreement"]) == ("occupancy", 2 / 3)
+    assert {key: got[key] for key in ("table", "cells")} == {key: of_stores[key] for key in ("table", "cells")}
+    assert compare_maps(a, tmp_path / "b.yaml")["agreement"] == 2 / 3
+    assert compare_maps(a, tmp_path / "b.db")["agreement"] == 2 / 3
+    assert compare_maps(a, b, Question(band="occupancy"))["kind"] == "values"
+    assert compare_maps(a, b, Question("occupancy"))["kind"] == "values"
+
+
+def test_what_neither_map_has_is_not_passed_over(tmp_path: Path) -> None:
+    a = store_of(tmp_path, "a", [[1.0, 2.0]], north=1.0)
+    b = write_raster(tmp_path / "b.tif", [[5.0, 5.0]], north=1.0)
+    ros = write_ros(tmp_path / "c.yaml", np.array([[0, 254]]), placement=Placement(1.0))
+    for first, second, asked, says in (
+        (a, a, Question(band="1"), "--band 1: A is a store, B a store; only rasters have bands: choose a --layer"),
+        (ros, ros, Question(band="1"), "--band 1: A is a ROS map, B a ROS map; only rasters have bands"),
+        (ros, ros, Question("height"), "--layer height: A is a ROS map, B a ROS map; only stores have layers"),
+        (b, b, Question("z"), "--layer z: A is a raster, B a raster; only stores have layers"),
+        (occupancy_tif(tmp_path, "d", [[0, 254]]), b, Question("z"), "their bands are: occupancy, "),
+    ):
+        with pytest.raises(InputError) as caught:
+            compare_maps(first, second, asked)
+        assert says in str(caught.value)
+    with pytest.raises(InputError, match="is a folder; give the store in it"):
+        compare_maps(tmp_path, a)
 
 
 def test_another_crs(tmp_path: Path) -> None:
@@ -375,3 +416,6 @@ def test_no_picture_where_it_could_not_be_right(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"d\.jpg: give a \.png, or a folder"):
         compare_maps(square, oblong, picture=tmp_path / "d.jpg")
     assert not list(tmp_path.glob("d.*"))
+    with pytest.raises(InputError):
+        compare_maps(oblong, square, picture=tmp_path / "new/folder")
+    assert not (tmp_path / "new").exists()

@@ -71,7 +71,7 @@ def test_the_program_writes_it(tmp_path: Path, logs: dict[str, Path]) -> None:
 
 
 def test_the_program_refuses_a_factor_that_does_not_fit(tmp_path: Path, logs: dict[str, Path]) -> None:
-    ran = terrafuse("map", f"r1={logs['r1']}", "--global-factor", "7", "--out", tmp_path / "out")
+    ran = terrafuse("map", f"r1={logs['r1']}", "--global-factor", "7", "--tile", "40", "--out", tmp_path / "out")
     assert ran.code == 2
     assert "factor 7 does not divide the 400 cells" in ran.err
     assert not (tmp_path / "out").exists()

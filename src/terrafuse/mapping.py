@@ -7,6 +7,7 @@ run that is killed goes on where its last commit ended and comes to the same byt
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import threading
 import time
@@ -22,8 +23,8 @@ import numpy as np
 
 from terrafuse import crs, plugins
 from terrafuse.config import MapSettings
-from terrafuse.errors import InputError, OutputError, StoreMismatch
-from terrafuse.lattice import Lattice, default_tile_m
+from terrafuse.errors import InputError, StoreMismatch
+from terrafuse.lattice import MAX_TILE_CELLS, Lattice, default_tile_m
 from terrafuse.logs import open_log
 from terrafuse.logs.base import Log, Record, Source, parse_source
 from terrafuse.mapper import Mapper
@@ -114,8 +115,7 @@ def plan(sources: Mapping[str, str], settings: MapSettings) -> Plan:
     """Open the logs of each robot and check everything that can be checked. Raises InputError and its kin."""
     if not sources:
         raise InputError("no logs: give at least one NAME=LOG")
-    tile_m = settings.tile_m or default_tile_m(settings.resolution_m)
-    lattice = Lattice(settings.resolution_m, tile_m)
+    lattice = Lattice(settings.resolution_m, settings.tile_m or tile_for(settings.resolution_m, settings.global_factor))
     lattice.coarser(settings.global_factor)
     model = make_model(settings.model, settings.model_settings)
     make_window(settings.window, lattice)
@@ -129,6 +129,27 @@ def plan(sources: Mapping[str, str], settings: MapSettings) -> Plan:
     stated = {f"{name} ({log.path})": log.crs for name, log in logs.items()}
     options = {name: source.options for name, source in parsed.items()}
     return Plan(logs, options, settings, replace(lattice, crs=crs.common(settings.crs, stated)), model, sensors, prior)
+
+
+LEAST_TILE_M = 4.0
+"""Smaller tiles than that are more work than map: of cells that need them, the user had better think again."""
+
+
+def tile_for(resolution_m: float, factor: int = 1) -> float:
+    """Side of a tile that cells of this side, and cells `factor` times as wide, fit into.
+
+    It is the usual one where these do, else the nearest to it whose number of cells ends in 0. Where there is none of a
+    sensible size it is the usual one, too, and `Lattice` says why it can't be.
+    """
+    usual_m = default_tile_m(resolution_m)
+    exact = usual_m / resolution_m
+    whole = abs(exact - round(exact)) <= 1e-6
+    if not math.isfinite(exact) or (whole and round(exact) % factor == 0 and exact <= MAX_TILE_CELLS):
+        return usual_m
+    step = math.lcm(10, factor)
+    cells = min(max(1, round(exact / step)), MAX_TILE_CELLS // step) * step
+    tile_m = round(cells * resolution_m, 9)
+    return tile_m if tile_m >= LEAST_TILE_M else usual_m
 
 
 def _sensors(described: Mapping[str, str]) -> dict[str, Sensor]:
@@ -337,14 +358,3 @@ def _content(path: Path) -> Any:
 
 
 TEXT_SUFFIXES = {".txt", ".tum", ".csv", ".yaml", ".json"}
-
-
-def make_folder(out: Path) -> None:
-    """Make the output folder and see that it can be written to; raises OutputError."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        probe = out / f".terrafuse-{os.getpid()}"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise OutputError(f"{out}: can't write there ({error.strerror}); choose another --out") from error

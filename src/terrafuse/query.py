@@ -9,7 +9,7 @@ from terrafuse.errors import InputError
 
 def split_query(text: str) -> tuple[str, dict[str, str]]:
     """(what, options). A path that exists as written may contain `?`. Raises InputError for what is no key=value."""
-    if Path(text).exists():
+    if _is_there(text):
         return text, {}
     what, _, query = text.partition("?")
     options: dict[str, str] = {}
@@ -21,3 +21,10 @@ def split_query(text: str) -> tuple[str, dict[str, str]]:
             raise InputError(f"{text}: {key} is given twice; give it once")
         options[key] = value
     return what, options
+
+
+def _is_there(text: str) -> bool:
+    try:
+        return Path(text).exists()
+    except (OSError, ValueError):  # too long for a path, or with a null byte
+        return False

@@ -19,7 +19,8 @@ from terrafuse.export.cog import write_cog
 from terrafuse.export.files import final
 from terrafuse.export.picture import robot_paths, write_picture
 from terrafuse.export.report import write_report
-from terrafuse.mapping import Plan, Progress, RobotReport, make_folder, map_logs, open_partial
+from terrafuse.folders import folder_for
+from terrafuse.mapping import Plan, Progress, RobotReport, map_logs, open_partial
 from terrafuse.replica import Replica
 from terrafuse.store.sqlite import SqliteStore, remove_store
 from terrafuse.types import Floats
@@ -49,11 +50,15 @@ def run(
     map already, unless `overwrite`; the old map goes when the new one is whole.
     """
     _check_extras()
-    make_folder(out)
     if (out / STORE).exists() and not overwrite:
         raise OutputError(
             f"{out / STORE}: there is a map already; choose another --out, or replace it with --overwrite"
         )
+    with folder_for(out):
+        return _run(plan, out, overwrite, progress, stage)
+
+
+def _run(plan: Plan, out: Path, overwrite: bool, progress: Progress | None, stage: Stage | None) -> dict[str, Any]:
     for leftover in out.glob(".*.partial*"):
         leftover.unlink()  # of a run that was killed while it wrote
     partial = out / PARTIAL_STORE
@@ -90,12 +95,11 @@ def _write(
         seconds[word] = time.perf_counter() - started
         return result
 
-    title = " + ".join(replica.robots)
     timed("raster", lambda: write_cog(replica, out / FILES["raster"]))
-    timed("picture", lambda: write_picture(replica, out / FILES["picture"], paths=paths, title=title))
+    timed("picture", lambda: write_picture(replica, out / FILES["picture"], paths=paths))
     if plan.settings.global_factor > 1:
         coarse = Replica(store=store, factor=plan.settings.global_factor)
-        timed("global map", lambda: _write_global(coarse, out, paths, title))
+        timed("global map", lambda: _write_global(coarse, out, paths))
     report = timed("statistics", lambda: report_of(plan, store, replica, robots, seconds))
     write_report(out / FILES["report"], report, out / FILES["picture"])
     with final(out / FILES["report_json"]) as temporary:
@@ -103,9 +107,9 @@ def _write(
     return dict(report)
 
 
-def _write_global(replica: Replica, out: Path, paths: Mapping[str, Floats], title: str) -> None:
+def _write_global(replica: Replica, out: Path, paths: Mapping[str, Floats]) -> None:
     write_cog(replica, out / GLOBAL_FILES["global_raster"])
-    write_picture(replica, out / GLOBAL_FILES["global_picture"], paths=paths, title=title)
+    write_picture(replica, out / GLOBAL_FILES["global_picture"], paths=paths)
 
 
 def map_facts(replica: Replica) -> dict[str, Any]:

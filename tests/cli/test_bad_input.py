@@ -22,7 +22,7 @@ def refused(out: Path, *arguments: str | Path, says: tuple[str, ...], **options:
     """Run `map`, and check that it refuses as it should."""
     ran = terrafuse("map", *arguments, "--out", out, **options)
     assert ran.code == 2, (ran.code, ran.out, ran.err)
-    assert ran.err.startswith("error: "), ran.err
+    assert [line for line in ran.err.splitlines() if line.startswith("error: ")], ran.err
     assert "Traceback" not in ran.err
     for words in says:
         assert words in ran.err
@@ -66,6 +66,17 @@ def test_a_cloud_of_nan(out: Path, tmp_path: Path) -> None:
         f"r1={tmp_path / 'nothing.npy'}?poses=identity",
         says=("nothing.npy", "7 not finite", "check its poses and points"),
     )
+    assert not out.exists()
+
+
+def test_folders_that_were_there_stay(out: Path, tmp_path: Path) -> None:
+    """Of new ones the parents go, too; what held something keeps it."""
+    np.save(tmp_path / "nothing.npy", np.full((7, 3), np.nan))
+    source = f"r1={tmp_path / 'nothing.npy'}?poses=identity"
+    refused(out / "deep/er", source, says=("nothing.npy",))
+    assert not out.exists()
+    out.mkdir()
+    refused(out, source, says=("nothing.npy",))
     assert list(out.iterdir()) == []
 
 
@@ -133,12 +144,43 @@ def test_a_log_without_a_name(out: Path, logs: dict[str, Path]) -> None:
 
 
 def test_a_resolution_that_does_not_divide_the_tile(out: Path, logs: dict[str, Path]) -> None:
-    refused(out, f"r1={logs['r1']}", "--resolution", "0.3", says=("0.3 m does not divide the tile of 40", "0.300752"))
+    says = ("0.3 m does not divide the tile of 40", "0.300752")
+    refused(out, f"r1={logs['r1']}", "--resolution", "0.3", "--tile", "40", says=says)
 
 
+@pytest.mark.parametrize("option", ["--resolution", "--tile", "--max-range"])
 @pytest.mark.parametrize("value", ["0", "-1", "nan"])
-def test_impossible_resolutions(out: Path, logs: dict[str, Path], value: str) -> None:
-    refused(out, f"r1={logs['r1']}", "--resolution", value, says=("resolution",))
+def test_impossible_lengths(out: Path, logs: dict[str, Path], option: str, value: str) -> None:
+    refused(out, f"r1={logs['r1']}", option, value, says=(f"{option} {value}: give a number of metres over 0",))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--static", "--model", "grey"], "--static: the model 'grey' has no such setting; it is one of elevation"),
+        (["--max-range", "9", "--model", "grey"], "it is one of elevation, occupancy, terrain"),
+        (["--max-range", "9", "--model", "terrain?max_range_m=8"], "--max-range and --model terrain?max_range_m=8 set"),
+        (["--model", "terrain?halflife=60"], "the model 'terrain' has no setting 'halflife'; it has: max_slope"),
+        (["--model", "terrain?subcells=many"], "the model 'terrain': subcells=many: give a whole number"),
+        (["--model", "terrain?max_slope=-1"], "--model terrain?max_slope=-1: max_slope -1.0: give a positive number"),
+        (["--model", "terrain?max_slope"], "'max_slope' after the '?' is not key=value"),
+        (["--model", "elevatoin?static=true"], "no cell model 'elevatoin'; there are: elevation, grey"),
+        (["--sensor", ""], "--sensor '': names nothing; give a file, or NAME=FILE"),
+        (["--sensor", "r1="], "--sensor 'r1=': names nothing"),
+        (["--origin", "5"], "--origin '5': give 2 finite numbers, EAST,NORTH"),
+    ],
+)
+def test_options_that_cannot_be(out: Path, logs: dict[str, Path], arguments: list[str], says: str) -> None:
+    refused(out, f"r1={logs['r1']}", *arguments, says=(says,))
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("command", [["info"], ["export", "--out", "a.tif"], ["plan", "--from", "0,0", "--to", "1,1"]])
+def test_a_folder_in_the_place_of_its_store(mapped: Path, tmp_path: Path, command: list[str]) -> None:
+    ran = terrafuse(command[0], mapped, *command[1:], cwd=tmp_path)
+    assert ran.code == 2
+    assert f"{mapped}: is a folder; give the store in it: {mapped / 'map.db'}" in ran.err
+    assert "is a folder; give a store, like map/map.db" in terrafuse(command[0], tmp_path, *command[1:]).err
 
 
 def test_mixed_crs(out: Path, tmp_path: Path) -> None:
@@ -288,7 +330,7 @@ def test_interrupting_says_that_the_work_is_kept(out: Path, tmp_path: Path) -> N
     _, said = process.communicate(timeout=120)
     assert process.returncode == 130
     assert "the same command goes on from there" in said
-    assert not FINAL_NAMES & {p.name for p in out.iterdir()}
+    assert not FINAL_NAMES & {p.name for p in out.glob("*")}
 
 
 def test_wrong_options_are_wrong_use() -> None:

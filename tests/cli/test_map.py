@@ -10,6 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from terrafuse import mapping
+from terrafuse.cli import arguments
+from terrafuse.config import map_settings
+from terrafuse.models import make_model
 from tests.program import terrafuse
 
 rasterio = pytest.importorskip("rasterio")
@@ -76,6 +80,60 @@ def test_the_window_makes_no_difference(logs: dict[str, Path], mapped: Path, tmp
 
 
 digests: set[str] = set()
+
+
+def test_a_model_with_settings(logs: dict[str, Path], tmp_path: Path) -> None:
+    """They are typed, are stored with the map, and are told again."""
+    wanted = "terrain?half_life_s=60&subcells=25&max_range_m=none"
+    ran = terrafuse("map", f"r1={logs['r1']}", "--model", wanted, "--resolution", "0.5", "--out", tmp_path / "out")
+    assert ran.code == 0, ran.err
+    about = terrafuse("info", tmp_path / "out/map.db", "--json").json["map"]
+    assert about["model"] == "terrain"
+    assert about["settings"] == make_model("terrain", {"half_life_s": 60.0, "subcells": 25}).settings()
+    assert "terrain?half_life_s=60" in terrafuse("map", "--help").out
+
+
+def test_a_cut_run_goes_on_only_with_the_same_model_settings(logs: dict[str, Path]) -> None:
+    def fingerprint(model: str) -> object:
+        name, settings = arguments.model(model)
+        return mapping.plan({"r1": str(logs["r1"])}, map_settings(model=name, model_settings=settings)).fingerprint
+
+    assert fingerprint("terrain?half_life_s=60") == fingerprint("terrain?half_life_s=60.0")
+    assert fingerprint("terrain?half_life_s=60") != fingerprint("terrain?half_life_s=61")
+
+
+def test_models_are_listed_with_their_settings() -> None:
+    ran = terrafuse("models")
+    assert ran.code == 0, ran.err
+    headings = [line for line in ran.out.splitlines() if not line.startswith(" ")]
+    assert headings == ["elevation", "grey", "occupancy", "terrain"]
+    assert ["half_life_s=600", "a", "number", "or", "none"] in [line.split() for line in ran.out.splitlines()]
+    half_life = terrafuse("models", "--json").json["terrain"]["half_life_s"]
+    assert (half_life["default"], half_life["takes"]) == (600.0, "a number or none")
+
+
+@pytest.mark.parametrize(
+    ("resolution_m", "factor", "tile_m"),
+    [
+        (0.1, 1, 40.0),
+        (0.3, 1, 39.0),  # 133.3 cells: 130 of them
+        (0.03, 1, 39.9),  # 1333.3 cells: 1330
+        (0.1, 7, 42.0),  # 400 cells: 6 times 70 is 420
+        (0.3, 4, 42.0),  # 133.3 cells: 7 times 20 is 140
+        (2.0, 8, 160.0),  # 100 cells: 2 times 40 (2.5 rounds to the even number)
+        (0.005, 1, 20.45),  # 8000 cells are more than the 4096 that there may be: 4090
+        (1e-5, 1, 40.0),  # a tile of 4 cm is none
+    ],
+)
+def test_the_tile_fits_the_cells(resolution_m: float, factor: int, tile_m: float) -> None:
+    assert mapping.tile_for(resolution_m, factor) == pytest.approx(tile_m)
+
+
+def test_another_tile_than_usual_is_told(logs: dict[str, Path], tmp_path: Path) -> None:
+    ran = terrafuse("map", f"r1={logs['r1']}", "--resolution", "0.3", "--out", tmp_path / "out")
+    assert ran.code == 0, ran.err
+    assert "tiles of 39 m, as cells do not fit into the usual 40 m; --tile chooses others" in ran.out
+    assert "r1: 40 scans, 80 k points, " in ran.out
 
 
 def test_export_by_ending_layer_and_bounds(mapped: Path, tmp_path: Path) -> None:

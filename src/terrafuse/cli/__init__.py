@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from terrafuse import __version__
-from terrafuse.cli import commands, compare, importing, plan
+from terrafuse.cli import commands, compare, importing, models, plan
 from terrafuse.cli.output import fail
 from terrafuse.errors import InputError, TerrafuseError
 
@@ -30,6 +30,7 @@ app.command("export")(commands.export)
 app.command("import")(importing.import_)
 app.command("compare")(compare.compare_)
 app.command("plan")(plan.plan_)
+app.command("models")(models.models_)
 
 
 INTERRUPTED = 130

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from terrafuse.cli import arguments
-from terrafuse.cli.output import bytes_text, log_progress, say, say_json
+from terrafuse.cli.output import bytes_text, count_text, log_progress, rate_text, say, say_json, tell_of_compiling
 from terrafuse.cli.plugins import Plugins
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout instead of text.")]
@@ -19,6 +19,11 @@ SPARSE = 1.5
 LOG_HELP = (
     "A robot's name and its log: a ROS 1/2 bag or MCAP file, a KITTI folder, a folder of clouds with a TUM trajectory, "
     "LAS/LAZ, a CARMEN log, an Argoverse 2 log. Options follow the path: r1=drive.mcap?topic=/lidar"
+)
+
+MODEL_HELP = (
+    "Cell model: elevation, grey, occupancy or terrain, with its settings after a '?', as in "
+    "'terrain?half_life_s=60&max_slope=0.4'. 'terrafuse models' lists them."
 )
 
 WINDOW_HELP = (
@@ -35,10 +40,11 @@ SENSOR_HELP = (
 def map_(
     logs: Annotated[list[str], typer.Argument(metavar="NAME=LOG…", help=LOG_HELP)],
     out: Out,
-    model: Annotated[str, typer.Option(help="Cell model.")] = "elevation",
+    model: Annotated[str, typer.Option(metavar="NAME[?SETTINGS]", help=MODEL_HELP)] = "elevation",
     resolution: Annotated[float, typer.Option(help="Side of a cell, metres.")] = 0.1,
     tile: Annotated[
-        float | None, typer.Option(help="Side of a tile, metres; a whole number of cells.  [default: 40]")
+        float | None,
+        typer.Option(help="Side of a tile, metres; a whole number of cells.  [default: 40, or what cells fit into]"),
     ] = None,
     crs: Annotated[str | None, typer.Option(help="CRS of the map, like EPSG:32632.  [default: the logs' own]")] = None,
     origin: Annotated[
@@ -53,7 +59,8 @@ def map_(
         int, typer.Option(help="Also make a global map of cells this many times as wide: global.tif, global.png.")
     ] = 1,
     max_range: Annotated[
-        float | None, typer.Option(help="Drop points further than this from the sensor, metres.  [default: keep all]")
+        float | None,
+        typer.Option(help="Drop points further than this from the sensor, metres.  [default: the model's own]"),
     ] = None,
     sensor: Annotated[list[str] | None, typer.Option(metavar="[NAME=]FILE", help=SENSOR_HELP)] = None,
     static: Annotated[
@@ -70,14 +77,16 @@ def map_(
     """
     from terrafuse import config, mapping, results
 
+    tell_of_compiling()
     named = arguments.robots(logs)
+    model_name, model_settings = arguments.model(model, static, max_range)
     settings = config.map_settings(
-        model=model,
-        model_settings=({"static": True} if static else {}) | ({} if max_range is None else {"max_range_m": max_range}),
-        resolution_m=resolution,
-        tile_m=tile,
+        model=model_name,
+        model_settings=model_settings,
+        resolution_m=arguments.positive("--resolution", resolution),
+        tile_m=arguments.positive("--tile", tile),
         crs=crs,
-        origin_m=arguments.numbers(origin, "EAST,NORTH"),
+        origin_m=arguments.numbers("--origin", origin, "EAST,NORTH"),
         window=window,
         prior=prior,
         global_factor=global_factor,
@@ -97,14 +106,15 @@ def _tell_map(report: dict[str, Any], out: Path) -> None:
         lost = [f"{n} not placed ({reason})" for reason, n in robot["skipped"].items()]
         note = "".join(f", {text}" for text in lost)
         say(
-            f"{name}: {robot['scans']} scans{note}, {robot['points'] / 1e6:.2f} M points, "
+            f"{name}: {robot['scans']} scans{note}, {count_text(robot['points'])}points, "
             f"{robot['distance_m']:.0f} m, deltas {bytes_text(report['delta_bytes_per_robot'][name])}"
         )
         _tell_window(robot)
     say(
         f"map: {report['cells']:,} cells of {report['map']['resolution_m']:g} m in {report['tiles']} tiles, "
-        f"{report['points_per_second'] / 1e6:.1f} M points/s"
+        f"{rate_text(report['points_per_second'])}"
     )
+    _tell_tile(report)
     if "global" in report:
         coarse = report["global"]
         say(f"global map: {coarse['cells']:,} cells of {coarse['map']['resolution_m']:g} m")
@@ -112,6 +122,16 @@ def _tell_map(report: dict[str, Any], out: Path) -> None:
     if n is not None and n < SPARSE:
         say(f"hint: {n:.1f} points a cell leave gaps; a coarser --resolution gives a fuller map")
     say("wrote " + ", ".join(str(out / file) for file in report["files"].values()))
+
+
+def _tell_tile(report: dict[str, Any]) -> None:
+    """Where the tile is not the usual one, and nobody asked for it."""
+    from terrafuse.lattice import default_tile_m
+
+    resolution_m, tile_m = report["map"]["resolution_m"], report["map"]["tile_m"]
+    usual_m = default_tile_m(resolution_m)
+    if report["settings"]["tile_m"] is None and tile_m != usual_m:
+        say(f"tiles of {tile_m:g} m, as cells do not fit into the usual {usual_m:g} m; --tile chooses others")
 
 
 def _tell_window(robot: dict[str, Any]) -> None:
@@ -129,7 +149,8 @@ def info(store: StoreFile, plugin: Plugins = None, json: Json = False) -> None:
     from terrafuse.results import delta_bytes, map_facts
     from terrafuse.store.sqlite import SqliteStore
 
-    with SqliteStore.open(store) as opened:
+    tell_of_compiling()
+    with SqliteStore.open(arguments.store_file(store)) as opened:
         facts = map_facts(Replica(store=opened))
         history, size = opened.history(), delta_bytes(opened)
         facts["robots"] = {
@@ -193,7 +214,9 @@ def export(
     from terrafuse.replica import Replica, check_robots
     from terrafuse.store.sqlite import SqliteStore
 
+    tell_of_compiling()
     part = arguments.bounds(bounds)
+    arguments.store_file(store)
     if out.exists() and store.exists() and out.samefile(store):
         raise InputError(f"{out}: that is the store itself; choose another --out")
     with SqliteStore.open(store) as opened:
@@ -215,6 +238,7 @@ def demo(
     """Map a small invented place, driven by two robots past a moving car, and measure the error against the truth."""
     from terrafuse.cli.demo import run_demo
 
+    tell_of_compiling()
     with log_progress() as progress:
         report = run_demo(out, progress)
     if json:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from terrafuse.cli import arguments
-from terrafuse.cli.output import say, say_json
+from terrafuse.cli.output import say, say_json, tell_of_compiling
 from terrafuse.cli.plugins import Plugins
 
 MAP_HELP = "A store, a raster (GeoTIFF) or a ROS map (its .yaml)."
@@ -39,6 +39,7 @@ def compare_(
     """
     from terrafuse.compare import Question, compare_maps
 
+    tell_of_compiling()
     question = Question(layer, band, arguments.bounds(bounds), occupied_thresh, free_thresh)
     result = compare_maps(a, b, question, out)
     if json:

@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from terrafuse.cli.output import say, say_json
+from terrafuse.cli import arguments
+from terrafuse.cli.output import say, say_json, tell_of_compiling
 from terrafuse.cli.plugins import Plugins
 from terrafuse.errors import InputError
 
@@ -49,7 +50,9 @@ def import_(
     """
     from terrafuse.imports import Wishes, import_map
 
-    wishes = Wishes(name, _stamp_ns(time), crs, tile, resample, resolution, band, nodata)
+    tell_of_compiling()
+    cells_m, tile_m = arguments.positive("--resolution", resolution), arguments.positive("--tile", tile)
+    wishes = Wishes(_robot(name), _stamp_ns(time), crs, tile_m, resample, cells_m, band, nodata)
     done = import_map(file, out, wishes, overwrite)
     if json:
         say_json(done)
@@ -58,6 +61,14 @@ def import_(
         say(remark)
     say(f"{done['robot']}: {done['cells']:,} {done['model']} cells of {done['resolution_m']:g} m")
     say(f"wrote {out}")
+
+
+def _robot(name: str) -> str:
+    from terrafuse.exchange.delta import MAX_NAME, is_robot_name
+
+    if not is_robot_name(name):
+        raise InputError(f"--name '{name}': give a robot's name of 1 to {MAX_NAME} printable characters")
+    return name
 
 
 def _stamp_ns(text: str | None) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,11 +10,15 @@ import typer
 
 from terrafuse.cli import arguments
 from terrafuse.cli.commands import Json, StoreFile
-from terrafuse.cli.output import say, say_json
+from terrafuse.cli.output import say, say_json, tell_of_compiling
 from terrafuse.cli.plugins import Plugins
 
 if TYPE_CHECKING:
     from terrafuse.navigate import Path as RobotsPath
+    from terrafuse.types import Floats
+
+MOST_SHOWN = 12
+"""Waypoints in the text: more are for machines."""
 
 
 def plan_(
@@ -47,9 +52,11 @@ def plan_(
     from terrafuse.replica import Replica
     from terrafuse.store.sqlite import SqliteStore
 
+    tell_of_compiling()
+    arguments.store_file(store)
     if out is not None and out.exists() and store.exists() and out.samefile(store):
         raise InputError(f"{out}: that is the store itself; choose another --out")
-    ends, part = [_place(start), _place(goal)], arguments.bounds(bounds)
+    ends, part = [_place("--from", start), _place("--to", goal)], arguments.bounds(bounds)
     write = None if out is None else writer_of(out)
     described = Robot() if robot is None else load_robot(robot)
     with SqliteStore.open(store) as opened:
@@ -63,9 +70,35 @@ def plan_(
         _tell(path, out)
 
 
-def _place(text: str) -> tuple[float, float]:
-    east, north = arguments.numbers(text, "EAST,NORTH") or ()
+def _place(option: str, text: str) -> tuple[float, float]:
+    east, north = arguments.numbers(option, text, "EAST,NORTH") or ()
     return east, north
+
+
+def main_corners(line: Floats, most: int) -> Floats:
+    """At most so many of a line's points (K, 2), in order: its ends, and each time the point that lies furthest from
+    the line through those before (Douglas & Peucker, by number instead of by distance)."""
+    import numpy as np
+
+    kept = [0, len(line) - 1]
+    while len(kept) < min(most, len(line)):
+        aside = [_aside(line[first : last + 1]) for first, last in pairwise(kept)]
+        k = int(np.argmax([float(distances.max(initial=0.0)) for distances in aside]))
+        furthest = kept[k] + int(np.argmax(aside[k]))
+        if furthest in kept:
+            break
+        kept = sorted({*kept, furthest})
+    return line[sorted(set(kept))]
+
+
+def _aside(part: Floats) -> Floats:
+    """How far points (K, 2) lie from the segment between the first and the last."""
+    import numpy as np
+
+    along = part[-1] - part[0]
+    offsets = part - part[0]
+    share = np.clip(offsets @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(offsets - share[:, None] * along, axis=1))
 
 
 def _facts(path: RobotsPath) -> dict[str, Any]:
@@ -81,8 +114,11 @@ def _facts(path: RobotsPath) -> dict[str, Any]:
 def _tell(path: RobotsPath, out: Path | None) -> None:
     say(f"length {path.length_m:.2f} m, of which {path.unknown_m:.2f} m through the unknown")
     say(f"cost {path.cost_m:.2f}: as much as so many metres of free ground")
-    say(f"{len(path.waypoints_m)} waypoints (east, north), {path.expanded:,} cells looked at")
-    for east, north in path.waypoints_m.round(6).tolist():
+    corners = main_corners(path.waypoints_m, MOST_SHOWN)
+    count = len(path.waypoints_m)
+    said = "" if len(corners) == count else f", {len(corners)} of them here, all with --json or --out way.geojson"
+    say(f"{count} waypoints (east, north){said}; {path.expanded:,} cells looked at")
+    for east, north in corners.round(6).tolist():
         say(f"  {east:.12g},{north:.12g}")
     if out is not None:
         say(f"wrote {out}")

@@ -18,6 +18,7 @@ from terrafuse.errors import InputError
 from terrafuse.export import sheet as pixels
 from terrafuse.export.looks import Look
 from terrafuse.export.picture import Subject, draw_subject
+from terrafuse.folders import folder_for
 from terrafuse.grids import Grid
 from terrafuse.lattice import Lattice
 from terrafuse.models.base import Layer
@@ -55,8 +56,8 @@ def draw(overlay: Overlay, kind: str, question: Question, path: Path) -> Path:
     file = path if path.suffix.lower() == ".png" and not path.is_dir() else path / NAME
     if path.suffix and file.parent == path and not path.is_dir():
         raise InputError(f"{path}: give a .png, or a folder")
-    file.parent.mkdir(parents=True, exist_ok=True)
-    draw_subject(file, lambda: _subject(overlay, WAYS[kind], question), title=f"{overlay.a.quantity} compared")
+    with folder_for(file.parent):
+        draw_subject(file, lambda: _subject(overlay, WAYS[kind], question), title=f"{overlay.a.quantity} compared")
     return file
 
 

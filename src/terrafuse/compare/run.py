@@ -11,7 +11,7 @@ import numpy as np
 
 from terrafuse.compare import figures
 from terrafuse.compare.figures import FREE, OCCUPIED, UNKNOWN
-from terrafuse.compare.sources import OCCUPANCY, VALUES, Field, Source, open_source
+from terrafuse.compare.sources import OCCUPANCY, RASTER, STORE, VALUES, Field, Source, open_source
 from terrafuse.errors import InputError
 from terrafuse.grids import ON_BORDER, Grid, bounds_in, transformed
 from terrafuse.types import Array, Bounds, Floats
@@ -72,7 +72,8 @@ def compare_maps(
     """
     asked = question or Question()
     first, second = open_source(Path(a)), open_source(Path(b))
-    kind = kind_of(first, second, asked.layer)
+    check_asked(first, second, asked)
+    kind = kind_of(first, second, asked)
     field_a, field_b = (source.field(kind, asked.layer, asked.band) for source in (first, second))
     overlay = laid_upon(field_a, field_b, asked.bounds)
     result = {
@@ -90,12 +91,28 @@ def compare_maps(
     return result
 
 
-def kind_of(a: Source, b: Source, layer: str | None) -> str:
-    """Occupancy where one of the two is a ROS map, or a store of such a model; else, and where a layer of that store is
-    asked for, values."""
+def check_asked(a: Source, b: Source, asked: Question) -> None:
+    """Raise InputError where neither map has what is asked for: to be told so is better than another comparison."""
+    kinds = f"A is a {a.what}, B a {b.what}"
+    if asked.band is not None and RASTER not in (a.what, b.what):
+        raise InputError(f"--band {asked.band}: {kinds}; only rasters have bands" + _or_layer(a, b))
+    if asked.layer is not None and STORE not in (a.what, b.what) and asked.layer not in a.names + b.names:
+        known = ", ".join(filter(None, dict.fromkeys(a.names + b.names)))
+        has = f"their bands are: {known}" if known else "only stores have layers"
+        raise InputError(f"--layer {asked.layer}: {kinds}; {has}")
+
+
+def _or_layer(a: Source, b: Source) -> str:
+    return ": choose a --layer" if STORE in (a.what, b.what) else ""
+
+
+def kind_of(a: Source, b: Source, asked: Question) -> str:
+    """Occupancy where one of the two is a ROS map, or a store or raster of such a model; else, and where a layer of
+    these is asked for, or the band of two rasters, values."""
     if a.only_occupancy or b.only_occupancy:
         return OCCUPANCY
-    return OCCUPANCY if layer is None and OCCUPANCY in (a.natural, b.natural) else VALUES
+    chosen = asked.layer is not None or (asked.band is not None and a.what == b.what == RASTER)
+    return OCCUPANCY if not chosen and OCCUPANCY in (a.natural, b.natural) else VALUES
 
 
 def laid_upon(a: Field, b: Field, bounds: Bounds | None) -> Overlay:

@@ -11,13 +11,16 @@ from terrafuse.errors import InputError
 from terrafuse.grids import Grid, window_grid
 from terrafuse.lattice import Lattice
 from terrafuse.models.base import Layer, Model
-from terrafuse.raster import read_raster
+from terrafuse.raster import HEIGHT_BANDS, band_names, read_raster
 from terrafuse.replica import Replica
 from terrafuse.rosmap import read_map
 from terrafuse.store.sqlite import SqliteStore
 from terrafuse.types import Floats
 
 VALUES, OCCUPANCY = "values", "occupancy"
+STORE, RASTER, ROS_MAP = "store", "raster", "ROS map"
+OCCUPIED_BANDS = ("occupancy", "white")
+"""Names of bands that say how surely cells are occupied: of an `occupancy` and of a `grey` map's GeoTIFF."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,25 +41,40 @@ class Source:
     """Something that can be compared. `natural` is the kind of comparison that suits it, None where any does;
     `field(kind, layer, band)` reads it for one."""
 
+    what: str
     natural: str | None
     field: Callable[[str, str | None, str | None], Field]
-    only_occupancy: bool = False
-    """Whether it has no other values."""
+    names: tuple[str, ...] = ()
+    """Of a raster: its bands."""
+
+    @property
+    def only_occupancy(self) -> bool:
+        """Whether it has no other values."""
+        return self.what == ROS_MAP
 
 
 def open_source(path: Path) -> Source:
     """By what the file is. Raises InputError for one that is missing or neither of the three."""
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; give the store in it (map.db), a raster or the .yaml of a ROS map")
     if not path.is_file():
         raise InputError(f"{path}: no such file; give a store, a raster (GeoTIFF) or the .yaml of a ROS map")
     if path.suffix.lower() in (".yaml", ".yml"):
-        return Source(OCCUPANCY, lambda kind, layer, band: _ros_field(path), only_occupancy=True)
+        return Source(ROS_MAP, OCCUPANCY, lambda kind, layer, band: _ros_field(path))
     with path.open("rb") as file:
         start = file.read(16)
     if start.startswith(b"SQLite format 3"):
         with SqliteStore.open(path) as store:
             natural = _natural(store.model)
-        return Source(natural, lambda kind, layer, band: _store_field(path, kind, layer))
-    return Source(None, lambda kind, layer, band: _raster_field(path, layer, band))
+        return Source(STORE, natural, lambda kind, layer, band: _store_field(path, kind, layer))
+    names = tuple(band_names(path))
+    occupied = None if set(HEIGHT_BANDS) & set(names) else next((n for n in OCCUPIED_BANDS if n in names), None)
+    return Source(
+        RASTER,
+        OCCUPANCY if occupied else None,
+        lambda kind, layer, band: _raster_field(path, layer, band, occupied),
+        names,
+    )
 
 
 def _natural(model: Model) -> str:
@@ -70,13 +88,14 @@ def _ros_field(path: Path) -> Field:
     return Field(ros_map.probability, ros_map.grid, "1", path.name, "occupancy", about)
 
 
-def _raster_field(path: Path, layer: str | None, band: str | None) -> Field:
+def _raster_field(path: Path, layer: str | None, band: str | None, usual: str | None) -> Field:
+    """`usual`: the band where neither is asked for, None for that of heights."""
     try:
-        raster = read_raster(path, band or layer)
+        raster = read_raster(path, band or layer or usual)
     except InputError:
         if band is not None or layer is None:
             raise
-        raster = read_raster(path)  # a truth raster need not call its band as we call our layer
+        raster = read_raster(path, usual)  # a truth raster need not call its band as we call our layer
     return Field(
         raster.values,
         raster.grid,

@@ -44,8 +44,8 @@ def write_picture(
 ) -> None:
     """Write a PNG of a layer (the model's own choice by default), over the bounds or all that is known.
 
-    `paths`: (N, 2) east and north in metres of each robot. Raises InputError for an empty map, OutputError where the
-    file can't be written.
+    `paths`: (N, 2) east and north in metres of each robot. `title`: the layer with its unit, by default. Raises
+    InputError for an empty map, OutputError where the file can't be written.
     """
     draw_subject(path, lambda: _subject(replica, layer or replica.model.picture_layer, bounds), paths, title)
 
@@ -76,7 +76,7 @@ def draw_subject(
         _draw_path(axes, np.asarray(track, np.float64).reshape(-1, 2), chip.colour)
     for name, place in (marks or {}).items():
         _draw_mark(axes, name, place)
-    _draw_frame(figure, sheet, subject, title or subject.layer.name, chips)
+    _draw_frame(figure, sheet, subject, title, chips)
     with final(path) as temporary:
         figure.savefig(temporary, format="png", dpi=DPI)
 
@@ -209,6 +209,10 @@ def _mark_bar(bar: Any, layer: Layer, look: Look, norm: Any, origin: int) -> Non
 def _quantity(layer: Layer, look: Look, origin: int) -> str:
     if look.clock:
         return f"{layer.name} (s after {datetime.fromtimestamp(origin, UTC):%Y-%m-%d %H:%M:%S} UTC)"
+    return _with_unit(layer)
+
+
+def _with_unit(layer: Layer) -> str:
     return layer.name if layer.unit == "1" else f"{layer.name} ({layer.unit.replace('m2', 'm²')})"
 
 
@@ -240,16 +244,16 @@ def _draw_mark(axes: Axes, name: str, place: tuple[float, float]) -> None:
     text.set_path_effects(casing)
 
 
-def _draw_frame(figure: Figure, sheet: Sheet, subject: Subject, title: str, chips: list[Chip]) -> None:
+def _draw_frame(figure: Figure, sheet: Sheet, subject: Subject, title: str | None, chips: list[Chip]) -> None:
     """Title, robots, scale bar, and what the cells are."""
     page = _axes(figure, sheet, 0, 0, sheet.width, sheet.height)
     page.set_xlim(0, sheet.width)
     page.set_ylim(0, sheet.height)
     page.set_axis_off()
     layer, lattice = subject.layer, subject.lattice
-    about = layer.description if title == layer.name else f"{layer.name}: {layer.description}"
+    about = layer.description if title is None else f"{layer.name}: {layer.description}"
     bold = {**SMALL, "color": INK, "fontsize": 13, "fontweight": "bold"}
-    page.text(pixels.LEFT, sheet.height - 24, title, **bold)
+    page.text(pixels.LEFT, sheet.height - 24, title or _with_unit(layer), **bold)
     page.text(pixels.LEFT, sheet.height - 47, about, **SMALL)
     for chip in chips:
         _draw_chip(page, chip, sheet.height - pixels.TOP - pixels.LINE * chip.line - 14)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -169,6 +172,14 @@ def test_a_robot_alone_drives_less_than_all_streets() -> None:
     (alone,) = patrol(net.nodes_m, net.edges, [middle(net.nodes_m)], 55.0)
     whole_m = np.hypot(*(net.nodes_m[net.edges[:, 0]] - net.nodes_m[net.edges[:, 1]]).T).sum()
     assert np.hypot(*np.diff(alone, axis=0).T).sum() < 0.85 * whole_m
+
+
+def test_what_the_page_shows_runs() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "planning.md").read_text()
+    (code,) = re.findall(r"```py\n(.*?)```", page, re.DOTALL)
+    found: dict[str, Any] = {}
+    exec(compile(code, "planning.md", "exec"), found)
+    assert len(found["routes"]) == 3
 
 
 def test_patrols_begin_where_robots_are() -> None:

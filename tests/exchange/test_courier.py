@@ -360,9 +360,11 @@ def test_what_does_not_belong_here_is_refused() -> None:
             send(link, topic, message)
     send(link, f"post/{STATION}/r1", encode_post(Post(0, 1, "x", b"good")))
     link.send("summary/r1", b"no frame", 0)
+    link.send("summary", b"no sender, no frame", 0)
     station.tick(0)
     assert {name: count for name, count in station.counts.items() if name.startswith("refused")} == {
         "refused.delta": 4, "refused.summary": 3, "refused.post": 3, "refused.short": 1,
+        "refused.checksum": 1,
     }  # fmt: skip
     assert replica.store.robots() == []
     assert heard == [("r1", "x", b"good")]

@@ -25,7 +25,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import inf
 
 from terrafuse.errors import CodecError, DeltaError, InputError
@@ -35,6 +35,7 @@ from terrafuse.exchange.links import Frame, Link
 from terrafuse.exchange.outbox import Outbox, Outgoing, outgoing
 from terrafuse.exchange.own import Own, Source
 from terrafuse.exchange.parts import delta_since, oldest
+from terrafuse.exchange.peer import DeltaFlight, Flight, Peer, Posted
 from terrafuse.exchange.posts import MOST_PAYLOAD, Inbox, Post, decode_post, encode_post
 from terrafuse.exchange.summary import State, Summary, pack, unpack
 from terrafuse.store.base import Store
@@ -69,65 +70,6 @@ class CourierSettings:
     """What this node sends at most, frames' payloads counted; less than what the link carries, or it queues there."""
     message_cells: int = 2048
     """Longer deltas are sent as several messages, oldest revisions first (more only where one revision has more)."""
-
-
-@dataclass
-class _Flight:
-    """A message on its way to one peer."""
-
-    message: Outgoing
-    patience_ns: float
-
-    def in_vain(self, peer: _Peer) -> bool:
-        """Whether the peer said so late that it lacks it that it can't be under way any more."""
-        return not self.message.queued and peer.heard_ns >= self.message.left_ns + self.patience_ns
-
-
-@dataclass
-class _DeltaFlight(_Flight):
-    revision: int
-    """That the peer holds once it arrived."""
-    last: bool
-    """Nothing newer was there."""
-
-
-@dataclass
-class _Posted:
-    """The newest post of its kind to a peer."""
-
-    number: int
-    payload: bytes
-    flight: _Flight | None = None
-    arrived: bool = False
-
-
-@dataclass
-class _Peer:
-    """What a peer said of itself, and what is under way to it."""
-
-    name: str
-    born_ns: int = -1
-    said_ns: int = -1
-    heard_ns: int = -(1 << 62)
-    replica: bool = False
-    robots: int = 0
-    held: dict[str, int] = field(default_factory=dict)
-    missing: dict[bytes, list[int]] = field(default_factory=dict)
-    flights: dict[str, _DeltaFlight] = field(default_factory=dict)
-    """By robot."""
-    posts: dict[str, _Posted] = field(default_factory=dict)
-    """By kind."""
-
-    @property
-    def served(self) -> bool:
-        """Whether it takes contributions, and said all of what it holds."""
-        return self.replica and len(self.held) >= self.robots
-
-    def reborn(self, born_ns: int) -> None:
-        self.born_ns, self.said_ns = born_ns, -1
-        self.held, self.missing, self.flights = {}, {}, {}
-        for post in self.posts.values():
-            post.flight, post.arrived = None, False
 
 
 class Courier:
@@ -169,7 +111,7 @@ class Courier:
         """What was held at the last report,"""
         self._settled: dict[str, int] = {}
         """and at the one before: by now, peers said whether they have it from elsewhere."""
-        self._peers: dict[str, _Peer] = {}
+        self._peers: dict[str, Peer] = {}
         self._reassembler = Reassembler(limits, self.counts)
         self._outbox = Outbox(link, self.settings.bytes_per_s, self.counts)
         self._inbox = Inbox()
@@ -219,7 +161,7 @@ class Courier:
         if (known := self._peer(peer)) is None:
             raise InputError(f"'{peer}' is no peer of '{self.node}': it has no place for more, or others only")
         self._posted += 1
-        known.posts[kind] = _Posted(self._posted, payload)
+        known.posts[kind] = Posted(self._posted, payload)
 
     def reached(self, now_ns: int) -> list[str]:
         """Peers of whom something was heard within `silent_s`, sorted."""
@@ -243,7 +185,8 @@ class Courier:
 
     def _receive(self, frame: Frame) -> str | None:
         """The name of the peer whose summary it was, if it was one."""
-        kind, *_, sender = frame.topic.split("/")
+        parts = frame.topic.split("/")
+        kind, sender = parts[0], parts[-1]
         taken = self._reassembler.take(sender, frame, self._now_ns)
         if taken is None:
             return None
@@ -315,14 +258,14 @@ class Courier:
         self._recover(peer)
         return sender
 
-    def _peer(self, name: str) -> _Peer | None:
+    def _peer(self, name: str) -> Peer | None:
         if name not in self._peers and (self._only is None or name in self._only) and len(self._peers) < MOST_PEERS:
-            self._peers[name] = _Peer(name)
+            self._peers[name] = Peer(name)
         return self._peers.get(name)
 
     # --- the node's own contribution ----------------------------------------------------------------------------------
 
-    def _recover(self, peer: _Peer) -> None:
+    def _recover(self, peer: Peer) -> None:
         """A peer that holds more of this node's robot than it ever reported, has it from an earlier life of the node.
 
         Until that came back, the store has a gap before what this life adds. To the peers that is a life of its own, or
@@ -352,7 +295,7 @@ class Courier:
         robot = self._own.robot
         return {**relayed, robot: self._own.revision if self._store is None else self._held.get(robot, 0)}
 
-    def _bring(self, peer: _Peer, told: Mapping[str, int], reporting: bool) -> None:
+    def _bring(self, peer: Peer, told: Mapping[str, int], reporting: bool) -> None:
         """Send the peer what it lacks: all of it when a report is due, else the rest of what was begun, and retries."""
         if not peer.served:
             return
@@ -368,14 +311,14 @@ class Courier:
             elif reporting or (flight is not None and not flight.last):
                 self._begin(peer, robot, held, self.settings.retry_s * SECOND_NS)
 
-    def _begin(self, peer: _Peer, robot: str, since: int, patience_ns: float) -> Outgoing | None:
+    def _begin(self, peer: Peer, robot: str, since: int, patience_ns: float) -> Outgoing | None:
         """Peers that lack the same share a message: it reaches all of them."""
         if (robot, since) not in self._encoded:
             self._encoded[robot, since] = self._encode(robot, since)
         if (encoded := self._encoded[robot, since]) is None:
             return None
         message, revision, last = encoded
-        peer.flights[robot] = _DeltaFlight(message, patience_ns, revision, last)
+        peer.flights[robot] = DeltaFlight(message, patience_ns, revision, last)
         return message
 
     def _encode(self, robot: str, since: int) -> tuple[Outgoing, int, bool] | None:
@@ -392,7 +335,7 @@ class Courier:
         self._outbox.put(message)
         return message, delta.revision, delta.revision == whole.revision
 
-    def _repeat(self, peer: _Peer, robot: str, held: int, flight: _DeltaFlight) -> None:
+    def _repeat(self, peer: Peer, robot: str, held: int, flight: DeltaFlight) -> None:
         """Again what did not arrive: the parts that lack, or, if none came, the newest of it."""
         if not flight.in_vain(peer):
             return
@@ -404,14 +347,14 @@ class Courier:
         if message is flight.message:
             self._outbox.put(message)
 
-    def _bring_posts(self, peer: _Peer) -> None:
+    def _bring_posts(self, peer: Peer) -> None:
         for kind, post in peer.posts.items():
             if post.arrived:
                 continue
             if post.flight is None:
                 content = encode_post(Post(self._born_ns or 0, post.number, kind, post.payload))
                 message = outgoing(f"post/{peer.name}/{self.node}", content, self._link.max_frame_bytes)
-                post.flight = _Flight(message, self.settings.retry_s * SECOND_NS)
+                post.flight = Flight(message, self.settings.retry_s * SECOND_NS)
                 self._outbox.put(message)
             elif post.flight.in_vain(peer):
                 missing = peer.missing.get(post.flight.message.id)

@@ -71,12 +71,12 @@ class Mission:
         surface = Surface(self.world, self.caster)
         self.station_m = station_place(loaded, self.world)
         starts = starts_of(loaded, self.world, surface, self.station_m)
-        self.fleet = Fleet(starts, surface)
+        self.fleet = Fleet(starts, surface, self.world)
         self.radio = radio_of(self.scenario.radio, self.world, self.caster, self.scenario.seed)
         z = float(self.world.terrain.height(*self.station_m)) + self.scenario.station.height_m
         self.station = Station(
             self.radio.link(STATION, (*self.station_m, z)), self.coarse_lattice, self.model,
-            self.scenario.radio.report_s, coarse,
+            self.scenario.radio, coarse,
         )  # fmt: skip
         self.vehicles = [
             self._vehicle(number, name, part, coarse, folder if record else None)
@@ -160,7 +160,7 @@ class Mission:
         window = make_window(self.scenario.map.window, self.lattice)
         mapper = Mapper(name, self.lattice, self.model, window, self.store)
         link = self.radio.link(name, (*position[:2].tolist(), float(position[2]) + ANTENNA_M))
-        node = Node(link, mapper, self.scenario.map.global_factor, self.scenario.radio.report_s, coarse)
+        node = Node(link, mapper, self.scenario.map.global_factor, self.scenario.radio, coarse)
         situation = Situation(name, self.fleet.kind(number), own_map=OwnMap(mapper, self.prior, node.replica))
         localiser = LOCALISERS[part.pose.kind](
             part.pose, self.world.gps_quality.at, position, yaw, [self.scenario.seed, number, 1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from time import perf_counter
+from time import thread_time
 from typing import Any
 
 import numpy as np
@@ -23,31 +23,43 @@ from terrafuse.simulate.scenario.model import RadioPart
 from terrafuse.simulate.world import World
 
 STATION = "station"
+PLACE = "place"
+"""A robot's word of where it is: [east, north]."""
 ANTENNA_M = 1.0
 """Above a robot's base."""
 
 
 class Node:
-    """A robot's: reports its own map at the coarser level, and keeps a replica of everybody's."""
+    """A robot's: reports its own map at the coarser level, and keeps a replica of everybody's, where that is shared."""
 
-    def __init__(self, link: RadioLink, mapper: Mapper, factor: int, report_s: float, prior: Delta | None) -> None:
+    def __init__(self, link: RadioLink, mapper: Mapper, factor: int, radio: RadioPart, prior: Delta | None) -> None:
         self.own = CoarseContribution(mapper, factor)
-        self.replica = Replica(self.own.map.lattice, mapper.model)
+        self.replica = Replica(self.own.map.lattice, mapper.model) if radio.share == "all" else None
         self.orders: dict[str, Any] = {}
         self.seconds = {"coarsen": 0.0}
-        if prior is not None:
+        self.reports = 0
+        if prior is not None and self.replica is not None:
             self.replica.apply(prior)
         self._courier = Courier(
-            link, self.replica.store, self.own, peers=[STATION], on_message=self._heard,
-            settings=CourierSettings(period_s=report_s),
+            link, self.replica.store if self.replica else None, self.own, peers=[STATION], on_message=self._heard,
+            settings=CourierSettings(period_s=radio.report_s),
         )  # fmt: skip
-        self._report_ns, self._next_ns = round(report_s * 1e9), 0
+        self._report_ns, self._next_ns = round(radio.report_s * 1e9), 0
+        self._place_ns = None if radio.place_s is None else round(radio.place_s * 1e9)
+        self._next_place_ns = 0
+
+    def say_where(self, now_ns: int, place_m: tuple[float, float]) -> None:
+        """Tell the station its place, as often as the scenario has it."""
+        if self._place_ns is not None and now_ns >= self._next_place_ns:
+            self._courier.post(STATION, PLACE, json.dumps([round(metres, 3) for metres in place_m]).encode())
+            self._next_place_ns = now_ns + self._place_ns
 
     def tick(self, now_ns: int) -> None:
         if now_ns >= self._next_ns:
-            started = perf_counter()
+            started = thread_time()
             self.own.update()
-            self.seconds["coarsen"] += perf_counter() - started
+            self.reports += 1
+            self.seconds["coarsen"] += thread_time() - started
             self._next_ns = now_ns + self._report_ns
         self._courier.tick(now_ns)
 
@@ -62,25 +74,33 @@ class Node:
 class Station:
     """Gathers what robots report, passes it on, and gives orders."""
 
-    def __init__(self, link: RadioLink, lattice: Lattice, model: Model, report_s: float, prior: Delta | None) -> None:
+    def __init__(self, link: RadioLink, lattice: Lattice, model: Model, radio: RadioPart, prior: Delta | None) -> None:
         self.replica = Replica(lattice, model)
         self.seconds = 0.0
+        self.places_m: dict[str, tuple[float, float]] = {}
+        """Where robots said that they are, last."""
         if prior is not None:
             self.replica.apply(prior)
+        relays, settings = radio.share == "all", CourierSettings(period_s=radio.report_s)
         self._courier = Courier(
-            link, self.replica.store, relay=True, settings=CourierSettings(period_s=report_s)
+            link, self.replica.store, relay=relays, on_message=self._heard, settings=settings
         )  # fmt: skip
 
     def order(self, robot: str, kind: str, value: Any) -> None:
         self._courier.post(robot, kind, json.dumps(value, separators=(",", ":")).encode())
 
     def tick(self, now_ns: int) -> None:
-        started = perf_counter()
+        started = thread_time()
         self._courier.tick(now_ns)
-        self.seconds += perf_counter() - started
+        self.seconds += thread_time() - started
 
     def facts(self) -> dict[str, Any]:
         return dict(sorted(self._courier.counts.items()))
+
+    def _heard(self, sender: str, kind: str, payload: bytes) -> None:
+        if kind == PLACE:
+            east_m, north_m = json.loads(payload)
+            self.places_m[sender] = float(east_m), float(north_m)
 
 
 def radio_of(part: RadioPart, world: World, caster: RayCaster, seed: int) -> Radio:

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from terrafuse.simulate.mission.surface import Surface
 from terrafuse.simulate.motion import BODIES, Body, Command, Ground, Rotors, State, placed, step
 from terrafuse.simulate.movers import bodies, body
+from terrafuse.simulate.world import World
 from terrafuse.types import Array, Floats, Pose
+
+if TYPE_CHECKING:
+    from terrafuse.simulate.physics import Physics
+
+
+KINEMATIC, PHYSICS = "kinematic", "physics"
+"""How robots move: as told, within limits; or with mass, wheels and contact."""
 
 
 class Drive(NamedTuple):
@@ -30,24 +38,32 @@ class Start(NamedTuple):
     x_m: float
     y_m: float
     yaw_rad: float
+    motion: str = KINEMATIC
 
 
 @dataclass
 class _Group:
-    """The robots of one body, by their numbers in the fleet."""
+    """The robots of one body that move alike, by their numbers in the fleet."""
 
-    kind: Body
+    body: str
+    motion: str
     numbers: list[int]
     state: State
+
+    @property
+    def kind(self) -> Body:
+        return BODIES[self.body]
 
 
 class Fleet:
     """The truth. Robots are counted from 0, in the order of `starts`."""
 
-    def __init__(self, starts: Sequence[Start], surface: Surface) -> None:
+    def __init__(self, starts: Sequence[Start], surface: Surface, world: World) -> None:
         self._surface = surface
         self._shapes = [start.body for start in starts]
-        self._groups = [self._group(name, starts) for name in sorted({start.body for start in starts})]
+        self._groups = [self._group(*kind, starts) for kind in sorted({(start.body, start.motion) for start in starts})]
+        self._physics = self._engine(world)
+        self._time_s = 0.0
         self._where = {number: (group, row) for group in self._groups for row, number in enumerate(group.numbers)}
 
     def __len__(self) -> int:
@@ -91,9 +107,26 @@ class Fleet:
     def step(self, drives: Mapping[int, Drive], dt_s: float, moving: Array) -> None:
         """All move on by `dt_s`; `moving` (K,) BODY is what else moves. A robot without a drive brakes."""
         others = self.bodies()
-        for group in self._groups:
-            command = _command([drives.get(number, Drive()) for number in group.numbers])
-            group.state = step(group.state, command, dt_s, self._ground(group, others, moving), group.kind)
+        commands = [_command([drives.get(number, Drive()) for number in group.numbers]) for group in self._groups]
+        for group, command in zip(self._groups, commands, strict=True):
+            if group.motion == KINEMATIC:
+                group.state = step(group.state, command, dt_s, self._ground(group, others, moving), group.kind)
+        if self._physics is not None:
+            told = {g.body: command for g, command in zip(self._groups, commands, strict=True) if g.motion == PHYSICS}
+            states = self._physics.step(told, dt_s, self._time_s)
+            for group in self._groups:
+                group.state = states[group.body] if group.motion == PHYSICS else group.state
+        self._time_s += dt_s
+
+    def _engine(self, world: World) -> Physics | None:
+        """One for all robots with physics, which run into each other, too; to those without, they are as air."""
+        groups = [group for group in self._groups if group.motion == PHYSICS]
+        if not groups:
+            return None
+        from terrafuse.simulate.physics import Physics
+
+        bodies_of = {group.body: group.body for group in groups}
+        return Physics(world, bodies_of, {group.body: group.state for group in groups}, below=self._surface.top)
 
     def _ground(self, group: _Group, robots: list[Array], moving: Array) -> Ground:
         if isinstance(group.kind.carriage, Rotors):
@@ -102,8 +135,8 @@ class Fleet:
             bodies([moving, *(one for other, one in enumerate(robots) if other != number)]) for number in group.numbers
         ])  # fmt: skip
 
-    def _group(self, name: str, starts: Sequence[Start]) -> _Group:
-        numbers = [number for number, start in enumerate(starts) if start.body == name]
+    def _group(self, name: str, motion: str, starts: Sequence[Start]) -> _Group:
+        numbers = [n for n, start in enumerate(starts) if (start.body, start.motion) == (name, motion)]
         kind = BODIES[name]
         ground = (
             self._surface.for_wings()
@@ -112,14 +145,9 @@ class Fleet:
         )
         xy = np.array([[starts[number].x_m, starts[number].y_m] for number in numbers])
         yaw = np.array([starts[number].yaw_rad for number in numbers])
-        return _Group(kind, numbers, placed(ground, kind, xy, yaw))
+        return _Group(name, motion, numbers, placed(ground, kind, xy, yaw))
 
 
 def _command(drives: Sequence[Drive]) -> Command:
     speed, yaw_rate, altitude = np.array(drives, np.float64).T
     return Command(speed, yaw_rate, altitude)
-
-
-def alone(state: State, robot: int) -> State:
-    """One robot of several, as a state of its own."""
-    return State(**{field.name: getattr(state, field.name)[robot : robot + 1] for field in fields(State)})

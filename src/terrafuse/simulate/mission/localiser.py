@@ -15,7 +15,7 @@ from terrafuse.simulate.odometry import Odometer, drawn_flaws
 from terrafuse.simulate.scenario.model import PosePart
 from terrafuse.types import Floats, Pose, Stamp, pose_of
 
-START_SIGMA_M, START_SIGMA_RAD = 0.05, 0.01
+START_SIGMA_M, START_SIGMA_RAD = 0.05, 0.002
 """How well a robot knows its start."""
 
 
@@ -45,7 +45,7 @@ class Filtered:
     def __init__(
         self, part: PosePart, quality_at: QualityAt | None, position_m: Floats, yaw_rad: float, seed: list[int]
     ) -> None:
-        self._part, self._noise, gnss = part, OdometryNoise(), GnssModel()
+        self._part, self._noise, gnss = part, OdometryNoise(**part.odometry.model_dump()), GnssModel()
         draws = [np.random.default_rng([*seed, stream]) for stream in range(4)]
         self._odometer = Odometer(position_m, yaw_rad, self._noise, drawn_flaws(self._noise, draws[0]), draws[1])
         self._gnss = None if quality_at is None else Gnss(gnss, quality_at, draws[2])

@@ -71,14 +71,14 @@ def _start(
     part = loaded.scenario.robots[index]
     if number < len(part.places):
         x, y, yaw_deg = part.places[number]
-        start = Start(part.body, x, y, math.radians(yaw_deg))
+        start = Start(part.body, x, y, math.radians(yaw_deg), part.motion)
         if (why := _in_the_way(start, surface, taken)) is not None:
             raise loaded.error(
                 ("robots", index, "places", number), f"{part.name}{number + 1} at {x:g},{y:g}: {why}; choose a free one"
             )
         return start
     for x, y, yaw in _along(world.streets, station, part.spread):
-        start = Start(part.body, x, y, yaw)
+        start = Start(part.body, x, y, yaw, part.motion)
         if _in_the_way(start, surface, taken) is None:
             return start
     raise loaded.error(

@@ -74,12 +74,26 @@ class SensorPart(Part):
     """Whether robots ping at the same instant, or each at one of its own."""
 
 
+class OdometryPart(Part):
+    """Standard deviations of what odometry gets wrong; see docs/navigation.md."""
+
+    forward_m: NotNegative = 0.02
+    up_m: NotNegative = 0.01
+    turn_rad: NotNegative = 0.005
+    """After a metre."""
+    turn_share: NotNegative = 0.02
+    """After turning 1 rad."""
+    scale: NotNegative = 0.01
+    bias_rad_per_m: NotNegative = 0.0005
+
+
 class PosePart(Part):
     """How a robot knows where it is."""
 
     kind: Literal["true", "odometry", "filtered"] = "true"
     """The truth; odometry from a true start; odometry and GNSS in a filter."""
     gnss_hz: Positive = 5.0
+    odometry: OdometryPart = OdometryPart()
     tilt_sigma_rad: NotNegative = 0.002
     """Of roll and pitch, which an inclinometer measures."""
 
@@ -129,8 +143,12 @@ class RadioPart(Part):
     bytes_per_s: Positive = 250_000.0
     frame_bytes: Annotated[Count, Field(ge=64, le=65_000)] = 2312
     cuts: tuple[CutPart, ...] = ()
+    share: Literal["all", "station"] = "all"
+    """Who holds the global map: every robot, or the station alone."""
     report_s: Positive = 2.0
     """Time between a robot's reports of what changed in its map."""
+    place_s: Positive | None = None
+    """And of where it is; None: it does not say."""
 
 
 class StationPart(Part):

@@ -50,6 +50,8 @@ class PatrolSettings(Part):
     radius_m: Positive | None = None
     """What it plans with; None: its body's."""
     occupied_from: Positive = 0.65
+    planned: bool = True
+    """Whether it looks for a way over its map from waypoint to waypoint, or goes straight, as a fleet of many may."""
 
 
 class Patrol:
@@ -77,7 +79,9 @@ class Patrol:
             return Drive(-0.5, 0.0)
         if not self._goals:
             return Drive()
-        if self._routes is None or self._closed(me):
+        if self._routes is None and not self.settings.planned:
+            self._straight(me)
+        elif self._routes is None or self._closed(me):
             self._plan(me)
         return self._follow(me)
 
@@ -125,6 +129,12 @@ class Patrol:
             self._routes = routes_of([np.vstack([me.place_m, self._path.waypoints_m[1:]])], me.body)
             self._progress = at_start(self._routes)
             self._next_check_s = me.now_s + self.settings.check_s
+
+    def _straight(self, me: Situation) -> None:
+        """All of the route at once."""
+        self._routes = routes_of([np.vstack([me.place_m, *self._goals])], me.body)
+        self._progress = at_start(self._routes)
+        self._goals = self._goals[-1:]
 
     def _way(self, me: Situation, goal: Place) -> Path | None:
         robot = self._robot(me.body)

@@ -47,8 +47,8 @@ def stage_table(mission: Mission) -> Table:
     return Table(
         "Milliseconds a stage (table 2 of the patrol paper)", headings, (*rows, sums),
         f"Up to the merge into the HRM: a scan of {points:,.0f} points in the mean. HRM to LLRM: one report of what "
-        "changed since the one before. LLRM into GLRM: one delta, taken in by the station. The paper: Core i3, 2.2 GHz, "
-        "C#; how many points a scan had, it does not say.",
+        "changed since the one before. LLRM into GLRM: one delta, taken in by the station. The paper: Core i3, "
+        "2.2 GHz, C#; how many points a scan had, it does not say.",
     )  # fmt: skip
 
 
@@ -91,7 +91,7 @@ class Heights:
             "Heights of what was seen, in the HRM's cells",
             ("simulated s", "building cells", "RMSE, m", "bias, m", "streets RMSE, m"),
             tuple(self.rows),
-            "Against the true height at each cell's centre. The prior, which has all buildings at one height, is left out.",
+            "Against the true height at each cell's centre; of what robots saw, without the prior's guess.",
         )
 
 

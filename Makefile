@@ -4,10 +4,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: help setup demo test lint format bench accuracy wheel clean
+.PHONY: help setup demo results test lint format bench accuracy wheel clean
 
 help:
-	@echo "make demo      set up, then map a small invented place with two robots"
+	@echo "make demo      set up, then watch three simulated robots map a village"
+	@echo "make results   run every scenario at full length, rewrite docs/results.md"
 	@echo "make test      set up, then lint, types and all tests"
 	@echo "make bench     time the kernels and the pipeline, side by side with NumPy, pandas and polars"
 	@echo "make accuracy  measure against surveyed truth (needs TERRAFUSE_RECORDINGS)"
@@ -24,6 +25,9 @@ setup: $(READY)
 
 demo: setup
 	$(BIN)/terrafuse demo --headless --out demo
+
+results: setup
+	$(BIN)/python -m bench.results
 
 test: lint
 	$(BIN)/python -m pytest -n 2 --dist worksteal
@@ -55,4 +59,4 @@ wheel: setup
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
 
 clean:
-	rm -rf $(VENV) dist demo .hypothesis .mypy_cache .ruff_cache
+	rm -rf $(VENV) dist demo results .hypothesis .mypy_cache .ruff_cache

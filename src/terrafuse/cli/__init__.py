@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from terrafuse import __version__
-from terrafuse.cli import commands, compare, importing, models, plan
+from terrafuse.cli import commands, compare, importing, models, plan, simulate
 from terrafuse.cli.output import fail
 from terrafuse.errors import InputError, TerrafuseError
 
@@ -23,13 +23,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command("demo")(commands.demo)
+app.command("demo")(simulate.demo)
 app.command("map")(commands.map_)
 app.command("info")(commands.info)
 app.command("export")(commands.export)
 app.command("import")(importing.import_)
 app.command("compare")(compare.compare_)
 app.command("plan")(plan.plan_)
+app.command("simulate")(simulate.simulate)
 app.command("models")(models.models_)
 
 
@@ -60,12 +61,11 @@ def main() -> None:
         code = fail(error, as_json)
     except (KeyboardInterrupt, typer.Abort):
         code = INTERRUPTED
+        print("interrupted; what was committed is kept, and the same command goes on from there", file=sys.stderr)
     except Exception as error:
         if not hasattr(error, "format_message"):
             raise
         code = _wrong_use(error, as_json)
-    if code == INTERRUPTED:
-        print("interrupted; what was committed is kept, and the same command goes on from there", file=sys.stderr)
     sys.exit(code)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from terrafuse.simulate.mission.engine import Mission, Watcher
-from terrafuse.simulate.mission.studies import village
+from terrafuse.simulate.mission.studies import fleet, village
 from terrafuse.simulate.mission.tables import Table
 from terrafuse.simulate.mission.timeline import Timeline
 from terrafuse.simulate.scenario import Loaded
@@ -36,12 +36,14 @@ def _village(mission: Mission, timeline: Timeline) -> Study:
 
 
 STUDIES: dict[str, Callable[[Mission, Timeline], Study]] = {
+    "fleet": lambda mission, timeline: Study(timed_tables=lambda: [fleet.cost_table(mission)]),
     "hallway": lambda mission, timeline: Study(),
     "map": lambda mission, timeline: Study(),
     "village": _village,
 }
 
 SWEEPS: dict[str, Callable[[Loaded, Tell], list[Table]]] = {
+    "fleet": lambda loaded, tell: [fleet.growth_table(loaded, tell=tell)],
     "village": lambda loaded, tell: [village.fleet_table(loaded, tell=tell)],
 }
 """Tables that take several missions: for the page of results, not for each run."""

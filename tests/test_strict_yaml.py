@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terrafuse.errors import InputError
-from terrafuse.strict_yaml import MAX_BYTES, MAX_DEPTH, load, parse, shown
+from terrafuse.errors import InputError, shown
+from terrafuse.strict_yaml import MAX_BYTES, MAX_DEPTH, load, parse
 
 SCENARIO = """\
 # two robots

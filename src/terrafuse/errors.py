@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
+SHOWN_LETTERS = 80
+
 
 class TerrafuseError(Exception):
     """Base of everything terrafuse raises on purpose. `exit_code` is what the command line ends with, `facts` what it
@@ -69,3 +71,9 @@ class NoPath(TerrafuseError):  # noqa: N818, the lack of one is the error
     def __init__(self, message: str, **facts: Any) -> None:
         super().__init__(message)
         self.facts = facts
+
+
+def shown(value: Any) -> str:
+    """A value as errors show it, cut where it is long."""
+    text = value if isinstance(value, str) and "\n" not in value else repr(value)
+    return text if len(text) <= SHOWN_LETTERS else f"{text[:SHOWN_LETTERS]}…"

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,8 @@ from terrafuse.types import Scan
 from terrafuse.window import make_window
 
 Progress = Callable[[str, int, int | None, int], None]
-"""Called for each record: robot, records so far, records in all where known, points so far."""
+"""Called for each record: robot, records so far, records in all where known, points so far; of a prior map the records
+are tiles, the points cells."""
 
 
 @dataclass
@@ -128,7 +130,10 @@ def plan(sources: Mapping[str, str], settings: MapSettings) -> Plan:
     prior = _prior(settings.prior, model, logs)
     stated = {f"{name} ({log.path})": log.crs for name, log in logs.items()}
     options = {name: source.options for name, source in parsed.items()}
-    return Plan(logs, options, settings, replace(lattice, crs=crs.common(settings.crs, stated)), model, sensors, prior)
+    lattice = replace(lattice, crs=crs.common(settings.crs, stated))
+    if prior is not None:
+        prior.placed(lattice, _beginnings(logs, settings))  # before anything is written
+    return Plan(logs, options, settings, lattice, model, sensors, prior)
 
 
 LEAST_TILE_M = 4.0
@@ -192,6 +197,25 @@ def _prior(texts: Sequence[str], model: Model, logs: Mapping[str, Log]) -> Prior
     return open_prior(texts)
 
 
+def _beginnings(logs: Mapping[str, Log], settings: MapSettings) -> dict[str, tuple[float, float]]:
+    """(east, north) of each log's first scan, of those that have one."""
+    firsts = {name: next((r for r in log.scans() if isinstance(r, Scan)), None) for name, log in logs.items()}
+    return {
+        name: _place(_placed(scan, logs[name], settings), logs[name].georeferenced)
+        for name, scan in firsts.items()
+        if scan is not None
+    }
+
+
+def _place(scan: Scan, georeferenced: bool) -> tuple[float, float]:
+    """Of its sensor, or of a point where the sensor's place is not known."""
+    points = scan.points[:, :3]
+    seen = points[np.isfinite(points).all(axis=1)]
+    point = seen[0] if georeferenced and len(seen) else np.zeros(3)
+    east_m, north_m, _ = (scan.T_world_sensor.matrix[:3, :3] @ point + scan.T_world_sensor.position).tolist()
+    return east_m, north_m
+
+
 def _check_frames(logs: Mapping[str, Log], settings: MapSettings) -> None:
     """Logs in local frames meet logs in map coordinates only through an origin."""
     placed = [name for name, log in logs.items() if log.georeferenced]
@@ -230,7 +254,8 @@ def map_logs(run: Plan, store: SqliteStore, progress: Progress | None = None) ->
     A fault in one log stops all; what was committed until then stays in the store.
     """
     if run.prior is not None:
-        for delta in run.prior.deltas(run.lattice, run.model):
+        tell = None if progress is None else partial(progress, ROBOT)
+        for delta in run.prior.deltas(run.lattice, run.model, tell):
             store.accept(delta)
     stop = threading.Event()
     reports: dict[str, RobotReport] = {}

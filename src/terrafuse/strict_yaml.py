@@ -16,12 +16,11 @@ from typing import Any
 
 import yaml
 
-from terrafuse.errors import InputError
+from terrafuse.errors import InputError, shown
 
 MAX_BYTES = 1 << 18
 """The parser takes seconds for these."""
 MAX_DEPTH = 32
-SHOWN_LETTERS = 80
 WORDS: dict[str, Any] = dict.fromkeys(("", "~", "null", "Null", "NULL")) | {
     form: value for word, value in (("true", True), ("false", False)) for form in (word, word.title(), word.upper())
 }
@@ -86,12 +85,6 @@ def parse(text: str, where: str) -> Document:
         return Document(reader.document(), where, reader.lines)
     except (yaml.YAMLError, ValueError, OverflowError) as error:  # "\UFFFFFFFF" is an OverflowError
         raise InputError(f"{where}:{_line_of(error, parser)}: not YAML ({_problem(error)})") from error
-
-
-def shown(value: Any) -> str:
-    """A value as errors show it, cut where it is long."""
-    text = value if isinstance(value, str) and "\n" not in value else repr(value)
-    return text if len(text) <= SHOWN_LETTERS else f"{text[:SHOWN_LETTERS]}…"
 
 
 class _Reader:

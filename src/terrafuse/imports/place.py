@@ -30,6 +30,8 @@ def lattice_for(resolution_m: float, tile_m: float | None = None, crs: str | Non
         return Lattice(resolution_m, tile_m or 1.0, crs)
     usual_m = default_tile_m(resolution_m)
     exact = usual_m / resolution_m
+    if not math.isfinite(exact):
+        return Lattice(resolution_m, usual_m, crs)  # which says why there is none
     if exact <= MAX_TILE_CELLS and abs(exact - round(exact)) <= TOLERANCE_CELLS:
         return Lattice(resolution_m, usual_m, crs)
     cells = min(10 * round(exact / 10), MAX_TILE_CELLS // 10 * 10)

@@ -12,8 +12,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from terrafuse import strict_yaml
-from terrafuse.errors import InputError
-from terrafuse.strict_yaml import Document, shown
+from terrafuse.errors import InputError, shown
+from terrafuse.strict_yaml import Document
 
 Number = Annotated[float, Field(strict=True)]
 """Yes and "1" are none."""

@@ -18,18 +18,20 @@ from terrafuse.errors import InputError
 from terrafuse.exchange.delta import Delta, TileCells, map_id
 from terrafuse.lattice import Lattice
 from terrafuse.models.base import Model
+from terrafuse.prior.place import check_extents, check_frame, tiles
 from terrafuse.prior.polygons import open_polygons
 from terrafuse.prior.raster import open_raster
-from terrafuse.prior.source import PROPERTIES, PriorSource
+from terrafuse.prior.source import PROPERTIES, Placed, PriorSource
 from terrafuse.query import split_query
-from terrafuse.types import Array, Bounds, Floats, Stamp, TileKey
+from terrafuse.types import Array, Floats, Stamp, TileKey
 
 ROBOT = "prior"
 CONFIDENCE = 0.1
 """Of heights that come without one: a glance from the far end of a lidar's range is surer."""
 
-MAX_CELLS = 2 * 10**8
-"""Within a file's bounds: 20 by 10 km of 1 m cells. Ten million take about half a minute."""
+CONFIDENCE_ROW = list(PROPERTIES).index("confidence")
+BATCH_CELLS = 2**20
+"""About as many cells go into one delta: some 50 MB of memory."""
 
 RASTERS, POLYGONS = (".tif", ".tiff", ".hgt", ".asc", ".img", ".vrt"), (".geojson", ".json")
 OPTIONS = {
@@ -37,10 +39,11 @@ OPTIONS = {
     "crs": "of a file that states none (default: the map's)",
     "band": "of a raster: the band that holds heights, by number or name",
 }
-DEGREES = Bounds(-180.0, -90.0, 180.0, 90.0)
-
 
 Opener = Callable[[Path, float, Mapping[str, str]], PriorSource]
+
+Progress = Callable[[int, int, int], None]
+"""Called for each tile: tiles so far, tiles in all, cells so far."""
 
 
 class TakesPrior(Protocol):
@@ -58,34 +61,54 @@ class Prior:
     sources: tuple[PriorSource, ...]
     paths: tuple[Path, ...]
 
-    def deltas(self, lattice: Lattice, model: Model) -> Iterator[Delta]:
-        """The contribution to a map, a delta for each line of tiles. Raises InputError for a model that takes none."""
-        records = _taker(model).prior
-        for source, path in zip(self.sources, self.paths, strict=True):
-            _check_place(source, path, lattice)
-        lines: dict[int, list[TileKey]] = {}
-        for key in sorted({key for source in self.sources for key in _tiles(source, lattice)}):
-            lines.setdefault(key.y, []).append(key)
-        said: set[PriorSource] = set()
-        for keys in lines.values():
-            tiles = [_tile_cells(key, self._values(key, lattice, said), records) for key in keys]
-            known = tuple(tile for tile in tiles if len(tile.at))
-            if known:
-                yield Delta(map_id(model.name, lattice), ROBOT, 0, 1, 0, known)
-        for source, path in zip(self.sources, self.paths, strict=True):
-            if source not in said:
-                raise InputError(f"prior map {path}: gives no cell of this map: it holds nothing, or less than a cell")
+    def deltas(self, lattice: Lattice, model: Model, progress: Progress | None = None) -> Iterator[Delta]:
+        """The contribution to a map, in deltas that each hold tiles of their own. Raises InputError, before the first,
+        for a model that takes none and for files that say nothing of this map or reach too far over it."""
+        records, placed = _taker(model).prior, self.placed(lattice)
+        keys = sorted({key for one in placed for key in tiles(one, lattice)}, key=lambda key: (key.y, key.x))
+        batch: list[TileCells] = []
+        cells = waiting = 0
+        for number, key in enumerate(keys, 1):
+            tile = _tile_cells(key, _values(key, placed), records)
+            cells, waiting = cells + len(tile.at), waiting + len(tile.at)
+            if len(tile.at):
+                batch.append(tile)
+            if waiting >= BATCH_CELLS or (batch and number == len(keys)):
+                yield Delta(
+                    map_id(model.name, lattice), ROBOT, 0, 1, 0, tuple(sorted(batch, key=lambda tile: tile.key))
+                )
+                batch, waiting = [], 0
+            if progress is not None:
+                progress(number, len(keys), cells)
 
-    def _values(self, key: TileKey, lattice: Lattice, said: set[PriorSource]) -> dict[str, Floats]:
-        """Each property over a tile, (T²,), NaN where no file says anything; those that do are added to `said`."""
-        out = {name: np.full(lattice.tile_cells**2, np.nan) for name in PROPERTIES}
-        for source in self.sources:
-            for name, values in source.values(key, lattice).items():
-                given = ~np.isnan(values)
-                if given.any():
-                    said.add(source)
-                out[name][given] = values[given]
+    def placed(self, lattice: Lattice, beginnings: Mapping[str, tuple[float, float]] | None = None) -> list[Placed]:
+        """Each file laid upon the map. Raises InputError for what has no place there, gives no cell, or would make a
+        map too large, also together with the places (east, north) where robots begin, by name."""
+        for source, path in zip(self.sources, self.paths, strict=True):
+            check_frame(source, path, lattice)
+        out = [source.placed(lattice) for source in self.sources]
+        check_extents([extent for one in out for extent in one.extents()], lattice, beginnings or {})
+        for one, path in zip(out, self.paths, strict=True):
+            if all(np.isnan(one.values(key)).all() for key in tiles(one, lattice)):
+                raise InputError(f"prior map {path}: gives no cell of this map: it holds nothing, or less than a cell")
         return out
+
+
+def _values(key: TileKey, placed: Sequence[Placed]) -> Floats:
+    """(P, T²) of what several files say of a tile: of each property, the last one that says it."""
+    out = placed[0].values(key)
+    for one in placed[1:]:
+        values = one.values(key)
+        np.copyto(out, values, where=~np.isnan(values))
+    return out
+
+
+def _tile_cells(key: TileKey, values: Floats, records: Callable[..., Array]) -> TileCells:
+    given = ~np.isnan(values)
+    given[CONFIDENCE_ROW] = False
+    at = np.flatnonzero(given.any(axis=0)).astype(np.int32)
+    some = dict(zip(PROPERTIES, values[:, at], strict=True))
+    return TileCells(key, at, records(**some | {"confidence": np.nan_to_num(some["confidence"])}))
 
 
 def open_prior(texts: Sequence[str]) -> Prior:
@@ -138,44 +161,14 @@ def _confidence(path: Path, options: Mapping[str, str]) -> float:
     return value
 
 
-def _check_place(source: PriorSource, path: Path, lattice: Lattice) -> None:
-    """Raise InputError for coordinates that must be degrees, in a map of metres, of a file that doesn't say so."""
-    if lattice.crs is None and source.crs is not None:
-        raise InputError(
-            f"prior map {path}: is in {source.crs[:40]}, and the map in a frame of its own; "
-            "say where that lies: --crs EPSG:… --origin EAST,NORTH"
-        )
-    if lattice.crs is None or source.crs is not None:
-        return
-    west, south, east, north = source.bounds(None)
-    if west >= DEGREES.west and south >= DEGREES.south and east <= DEGREES.east and north <= DEGREES.north:
-        raise InputError(
-            f"prior map {path}: lies nowhere near the places of {lattice.crs}: its coordinates, {west:g} to {east:g} "
-            f"and {south:g} to {north:g}, look like degrees and it states no CRS; say so by {path.name}?crs=EPSG:4326"
-        )
-
-
-def _tiles(source: PriorSource, lattice: Lattice) -> Iterator[TileKey]:
-    """The tiles that the source's bounds meet."""
-    i0, j0, i1, j1 = lattice.cell_window(source.bounds(lattice.crs))
-    if (i1 - i0) * (j1 - j0) > MAX_CELLS:
-        raise InputError(
-            f"a prior map of {(i1 - i0) * (j1 - j0):.2g} cells of {lattice.resolution_m:g} m: at most {MAX_CELLS:.0e}; "
-            "cut out the part around the robots, or use larger cells"
-        )
-    side = lattice.tile_cells
-    for y in range(j0 // side, (j1 - 1) // side + 1):
-        for x in range(i0 // side, (i1 - 1) // side + 1):
-            yield TileKey(x, y)
-
-
-def _tile_cells(key: TileKey, values: Mapping[str, Floats], records: Callable[..., Array]) -> TileCells:
-    given = np.zeros(len(values["height_m"]), bool)
-    for name in ("height_m", "gps_quality", "communications"):
-        given |= ~np.isnan(values[name])
-    at = np.flatnonzero(given).astype(np.int32)
-    some = {name: array[at] for name, array in values.items()}
-    return TileCells(key, at, records(**some | {"confidence": np.nan_to_num(some["confidence"])}))
-
-
-__all__ = ["CONFIDENCE", "OPTIONS", "ROBOT", "Prior", "PriorSource", "TakesPrior", "check_model", "open_prior"]
+__all__ = [
+    "CONFIDENCE",
+    "OPTIONS",
+    "ROBOT",
+    "Placed",
+    "Prior",
+    "PriorSource",
+    "TakesPrior",
+    "check_model",
+    "open_prior",
+]

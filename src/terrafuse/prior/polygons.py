@@ -7,7 +7,6 @@ Each feature is a Polygon or MultiPolygon with some of the properties `height_m`
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,11 +15,13 @@ from typing import Any
 import numpy as np
 
 from terrafuse import crs as crs_
-from terrafuse.errors import InputError, MissingExtra
-from terrafuse.grids import Grid, bounds_in, transformed, window_grid
+from terrafuse.errors import InputError, shown
 from terrafuse.lattice import Lattice
+from terrafuse.prior.burnt import PlacedPolygons, lay
 from terrafuse.prior.source import PROPERTIES
-from terrafuse.types import Array, Bounds, Floats, TileKey
+from terrafuse.types import Bounds, Floats
+
+NOTHING = "give height_m, gps_quality or communications as a property"
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,47 +34,19 @@ class Feature:
 
 @dataclass(frozen=True, eq=False)
 class PolygonPrior:
+    path: Path
     features: tuple[Feature, ...]
     crs: str | None
 
-    def bounds(self, crs: str | None) -> Bounds:
+    def bounds(self) -> Bounds:
         rings = [ring for feature in self.features for polygon in feature.polygons for ring in polygon]
         low, high = np.min([r.min(axis=0) for r in rings], axis=0), np.max([r.max(axis=0) for r in rings], axis=0)
-        wide, tall = high - low
-        return bounds_in(Grid(1, 1, (wide, 0.0, low[0], 0.0, -tall, high[1]), self.crs), crs)
+        return Bounds(*low.tolist(), *high.tolist())
 
-    def values(self, key: TileKey, lattice: Lattice) -> Mapping[str, Floats]:
-        return {name: self._burnt(name, key, lattice) for name in PROPERTIES}
-
-    def _burnt(self, name: str, key: TileKey, lattice: Lattice) -> Floats:
-        """A property over a tile, (T²,)."""
-        side = lattice.tile_cells
-        features = [feature for feature in self.features if name in feature.values]
-        number = self._numbers(features, key, lattice)
-        table = np.array([math.nan, *(feature.values[name] for feature in features)])
-        return np.asarray(table[number][::-1].reshape(side * side))
-
-    def _numbers(self, features: list[Feature], key: TileKey, lattice: Lattice) -> Array:
-        """(T, T), row 0 in the north: which feature, from 1, each cell's centre lies in; 0 for none."""
-        try:
-            from rasterio.features import rasterize
-            from rasterio.transform import Affine
-        except ImportError as error:
-            raise MissingExtra("a prior map of polygons", "rasterio", "gis") from error
-        side = lattice.tile_cells
-        grid = window_grid(lattice, (key.x * side, key.y * side, (key.x + 1) * side, (key.y + 1) * side))
-        shapes = [(self._shape(feature, lattice.crs), number) for number, feature in enumerate(features, 1)]
-        if not shapes:
-            return np.zeros((side, side), np.int32)
-        return np.asarray(rasterize(shapes, (side, side), transform=Affine(*grid.affine), dtype="int32"))
-
-    def _shape(self, feature: Feature, crs: str | None) -> dict[str, Any]:
-        """The geometry in another CRS."""
-        polygons = [
-            [np.stack(transformed(ring[:, 0], ring[:, 1], self.crs, crs), axis=1).tolist() for ring in polygon]
-            for polygon in feature.polygons
-        ]
-        return {"type": "MultiPolygon", "coordinates": polygons}
+    def placed(self, lattice: Lattice) -> PlacedPolygons:
+        polygons = [feature.polygons for feature in self.features]
+        values = np.array([[feature.values.get(name, np.nan) for name in PROPERTIES] for feature in self.features])
+        return lay(polygons, values, self.crs, lattice, f"prior map {self.path}: feature")
 
 
 def open_polygons(path: Path, confidence: float, options: Mapping[str, str]) -> PolygonPrior:
@@ -85,18 +58,25 @@ def open_polygons(path: Path, confidence: float, options: Mapping[str, str]) -> 
     )
     if not features:
         raise InputError(f"prior map {path}: holds no feature")
-    stated = options.get("crs") or _stated_crs(content)
-    return PolygonPrior(features, None if stated is None else crs_.short_text(crs_.known(stated)))
+    return PolygonPrior(path, features, _crs(path, options.get("crs"), content))
 
 
 def _content(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, OSError, RecursionError) as error:
-        raise InputError(f"prior map {path}: can't be read as GeoJSON: {error}") from error
+        raise InputError(f"prior map {path}: can't be read as GeoJSON: {shown(str(error))}") from error
     if not isinstance(content, dict) or not isinstance(content.get("features"), list):
         raise InputError(f"prior map {path}: is no GeoJSON FeatureCollection; it needs a list of 'features'")
     return content
+
+
+def _crs(path: Path, said: str | None, content: Mapping[str, Any]) -> str | None:
+    try:
+        stated = said or _stated_crs(content)
+        return None if stated is None else crs_.short_text(crs_.known(stated))
+    except InputError as error:
+        raise InputError(f"prior map {path}: {error}") from error
 
 
 def _stated_crs(content: Mapping[str, Any]) -> str | None:
@@ -120,27 +100,36 @@ def _feature(feature: Any, where: str, confidence: float) -> Feature:
     except (TypeError, ValueError, KeyError, AttributeError):
         raise InputError(f"{where}: needs a geometry with a type and coordinates, and properties by name") from None
     if kind not in ("Polygon", "MultiPolygon"):
-        raise InputError(f"{where}: a {kind}; prior knowledge comes on a Polygon or MultiPolygon")
+        raise InputError(f"{where}: a {shown(str(kind))}; prior knowledge comes on a Polygon or MultiPolygon")
     values = {name: _number(given[name], name, where) for name in PROPERTIES if given.get(name) is not None}
     if not values.keys() - {"confidence"}:
-        raise InputError(f"{where}: says nothing; give height_m, gps_quality or communications as a property")
+        raise InputError(f"{where}: says nothing; {NOTHING}")
     if "height_m" in values:
         values.setdefault("confidence", confidence)
     return Feature(_polygons([coordinates] if kind == "Polygon" else coordinates, where), values)
 
 
 def _number(value: Any, name: str, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e9:
-        raise InputError(f"{where}: {name} is {value!r}; give a number")
+    number = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
+    if not number or PROPERTIES[name].wrong(float(value)):
+        raise InputError(f"{where}: {name} is {shown(repr(value))}; {PROPERTIES[name].remedy}")
     return float(value)
 
 
 def _polygons(coordinates: Any, where: str) -> tuple[tuple[Floats, ...], ...]:
     try:
-        out = tuple(tuple(np.array([p[:2] for p in ring], np.float64) for ring in polygon) for polygon in coordinates)
-    except (TypeError, ValueError, IndexError):
+        out = tuple(tuple(_ring(ring) for ring in polygon) for polygon in coordinates)
+    except (TypeError, ValueError, LookupError):
         raise InputError(f"{where}: its coordinates are no rings of [x, y]") from None
     rings = [ring for polygon in out for ring in polygon]
-    if not rings or any(ring.ndim != 2 or ring.shape[0] < 4 or not np.isfinite(ring).all() for ring in rings):
+    if not out or not all(out) or any(ring.ndim != 2 or len(ring) < 4 or not np.isfinite(ring).all() for ring in rings):
         raise InputError(f"{where}: a ring needs at least 4 finite points [x, y], the last like the first")
     return out
+
+
+def _ring(points: Any) -> Floats:
+    """(N, 2). Raises TypeError, ValueError or LookupError for what are no numbers."""
+    ring = np.array([point[:2] for point in points])
+    if ring.dtype.kind not in "iuf":  # text, truth, whole numbers of hundreds of digits
+        raise TypeError
+    return ring.astype(np.float64)

@@ -14,10 +14,10 @@ import numpy as np
 import yaml
 
 from terrafuse import strict_yaml
-from terrafuse.errors import InputError, MissingExtra, TerrafuseError
+from terrafuse.errors import InputError, MissingExtra, TerrafuseError, shown
 from terrafuse.rosmap.meaning import Meaning
 from terrafuse.rosmap.types import Placement, RosMap
-from terrafuse.strict_yaml import Document, shown
+from terrafuse.strict_yaml import Document
 from terrafuse.types import Array
 
 PLAIN_NAME = re.compile(r"[A-Za-z][\w.\-/]*\.[A-Za-z]\w*")

@@ -16,9 +16,9 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from terrafuse import strict_yaml
-from terrafuse.errors import InputError
+from terrafuse.errors import InputError, shown
 from terrafuse.sense.sensor import Beams, Mounting, Ring, Sensor
-from terrafuse.strict_yaml import Document, shown
+from terrafuse.strict_yaml import Document
 
 MAX_BEAMS = 10_000_000
 SUFFIX = ".yaml"

@@ -128,7 +128,6 @@ def test_a_plugin_that_ends_the_program_is_named(tmp_path: Path) -> None:
 
 LAYER = """\
 import numpy as np
-from terrafuse.lattice import Lattice
 from terrafuse.models import LAYERS, Layer
 
 def mine(model):
@@ -148,8 +147,8 @@ MISTAKES = {
         r"layer 'x' of .*mine\.py: line 5 ValueError: no field of name hight",
     ),
     "shape": (
-        "return Layer('x', '1', 'x', lambda cells, reading: np.zeros((1, 1)))",
-        r"layer 'x' of .*mine\.py: gives float64 of shape \(1, 1\) for cells of shape",
+        "return Layer('x', '1', 'x', lambda cells, reading: np.zeros((2, 2)))",
+        r"layer 'x' of .*mine\.py: gives float64 of shape \(2, 2\) for cells of shape",
     ),
     "kind": (
         "return Layer('x', '1', 'x', lambda cells, reading: np.full(cells.shape, 'a'))",
@@ -190,22 +189,22 @@ def test_layers_that_are_no_list_of_functions(monkeypatch: pytest.MonkeyPatch) -
         layers_of(make_model("occupancy"))
 
 
-READER = """\
-from terrafuse.logs import READERS, Log, Reader
+BROKEN = """\
+from terrafuse.models import MODELS
 
-def open_mine(source):
-    return Log(source.path, "mine", lambda: iter([source.path / 0]), georeferenced=True)
+def broken():
+    return 1 / 0
 
-READERS["mine"] = Reader("mine", "mine", lambda path: path.suffix == ".mine", open_mine, {})
+MODELS["broken"] = broken
 """
 
 
-def test_what_else_of_a_plugin_fails_in_a_command_is_named(tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text(READER)
-    (tmp_path / "a.mine").write_text("x")
-    ran = terrafuse("map", f"r1={tmp_path / 'a.mine'}", "--plugin", tmp_path / "mine.py", "--out", tmp_path / "out")
+def test_what_else_of_a_plugin_fails_in_a_command_is_named(tmp_path: Path, desk: Path) -> None:
+    (tmp_path / "mine.py").write_text(BROKEN)
+    log = f"r1={desk / 'monday.mcap'}"
+    ran = terrafuse("map", log, "--plugin", tmp_path / "mine.py", "--model", "broken", "--out", tmp_path / "out")
     assert ran.code == 2
-    assert re.search(r"^error: plug-in .*mine\.py: line 4 TypeError: unsupported operand", ran.err, re.MULTILINE)
+    assert re.search(r"^error: plug-in .*mine\.py: line 4 ZeroDivisionError: division by zero$", ran.err, re.MULTILINE)
     assert "Traceback" not in ran.err
 
 

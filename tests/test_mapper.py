@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from terrafuse.errors import InputError, PoseError
-from terrafuse.lattice import Lattice
+from terrafuse.lattice import MAX_CELL, MAX_TILE_CELLS, Lattice
 from terrafuse.mapper import Mapper
 from terrafuse.models import make_model
 from terrafuse.replica import Replica
@@ -227,6 +227,31 @@ def test_clouds_in_world_coordinates_page_too() -> None:
         mapper.integrate(Scan(k, points, Pose.identity()))
     assert mapper.paging.most_resident <= 4
     assert mapper.paging.evictions >= 9
+
+
+@pytest.mark.parametrize("model", ["elevation", "terrain"])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_nothing_is_mapped_beyond_the_lattice(model: str, sign: int) -> None:
+    """As far out as a sensor may be, it maps what is around it, and drops what lies beyond; none may be further out."""
+    lattice = Lattice(0.5)
+    furthest_m = (MAX_CELL - MAX_TILE_CELLS) * lattice.resolution_m
+    mapper = Mapper("r1", lattice, make_model(model, {"max_range_m": 1e8}))
+    points = np.array([[sign * 1.0, 0.0, 0.0], [sign * 45.0, 0.0, 0.0], [sign * 1e6, 0.0, 0.0]])
+    done = mapper.integrate(Scan(0, points, Pose.identity().shifted(sign * furthest_m, 0.0)))
+    assert (done.cells, done.dropped["beyond the lattice"]) == (2, 1)
+    assert sum(len(tile.at) for tile in mapper.delta().tiles) == 2
+    with pytest.raises(InputError, match=r"position .* lies beyond the lattice"):
+        mapper.integrate(Scan(1, points, Pose.identity().shifted(sign * (furthest_m + 1.0), 0.0)))
+
+
+def test_a_scan_that_touches_a_tile_beyond_the_lattice_is_refused() -> None:
+    """2**40 cells are 274,877,906.944 tiles of 4000: the cells from −2**40 on lie in one that reaches beyond."""
+    lattice = Lattice(5e-5, 0.2)
+    mapper = Mapper("r1", lattice, MODEL)
+    cell_m = -(MAX_CELL - 10) * lattice.resolution_m
+    with pytest.raises(InputError, match="sees places beyond the lattice"):
+        mapper.integrate(Scan(0, np.array([[cell_m, 0.0, 0.0]]), Pose.identity()))
+    assert (mapper.revision, mapper.keys) == (0, [])
 
 
 @pytest.mark.parametrize("matrix", [np.diag([2.0, 2, 2, 1]), np.full((4, 4), np.nan)])

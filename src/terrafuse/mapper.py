@@ -11,7 +11,7 @@ import numpy as np
 
 from terrafuse.errors import InputError, StoreError
 from terrafuse.exchange.delta import MAX_NAME, MAX_REVISION, Delta, TileCells, is_robot_name, map_id
-from terrafuse.lattice import MAX_CELL, Lattice, union
+from terrafuse.lattice import MAX_CELL, MAX_TILE_CELLS, Lattice, union
 from terrafuse.models import make_model
 from terrafuse.models.base import AnyPatch, Model
 from terrafuse.store.base import PathPoint
@@ -22,6 +22,10 @@ from terrafuse.window import Allocation, KeepAll, Residency, Window
 LEAVING_SHARE = 4
 """Tiles that left the window are written once they are a quarter of those in memory: windows that move at every scan
 shed tiles one by one, and a commit for each would cost more than the memory that it frees."""
+
+
+FURTHEST_CELL = MAX_CELL - MAX_TILE_CELLS
+"""Of a sensor: what models see near it without looking at each point's place is then on the lattice, tiles and all."""
 
 
 class Archive(Protocol):
@@ -146,6 +150,7 @@ class Mapper:
         scan = self._checked(scan)
         t0 = perf_counter()
         patch = self._observe(scan)
+        self._check_reach(scan, patch.keys)
         t1 = perf_counter()
         tiles = [self._tile(key) for key in patch.keys]
         t2 = perf_counter()
@@ -172,13 +177,19 @@ class Mapper:
         if not is_rigid(scan.T_world_sensor.matrix):
             checked_pose(scan.T_world_sensor.matrix, f"pose of robot '{self.robot}' at stamp {scan.stamp_ns}")
         position = scan.T_world_sensor.position.tolist()
-        if not all(abs(value) * self.lattice.cells_per_m <= MAX_CELL for value in position):
+        if not all(abs(value) * self.lattice.cells_per_m <= FURTHEST_CELL for value in position):
             raise InputError(f"position {position} lies beyond the lattice")
         if self._revision == MAX_REVISION:
             raise InputError(
                 f"robot '{self.robot}' has reported {MAX_REVISION} scans, the most there can be; rename it"
             )
         return scan if type(scan.stamp_ns) is int else replace(scan, stamp_ns=int(scan.stamp_ns))
+
+    def _check_reach(self, scan: Scan, keys: Iterable[TileKey]) -> None:
+        """Raise InputError where a scan touches tiles that reach beyond the lattice, which no delta can have."""
+        most = MAX_CELL // self.lattice.tile_cells
+        if any(abs(key.x) > most or abs(key.y) > most for key in keys):
+            raise InputError(f"the scan at {scan.T_world_sensor.position.tolist()} sees places beyond the lattice; is it in metres?")
 
     def _whereabouts(self, scan: Scan, patch: AnyPatch) -> tuple[float, float]:
         """Where the window should be: the sensor's place, or the middle of what it saw if that is elsewhere.

@@ -14,6 +14,7 @@ from terrafuse import __version__
 from terrafuse.cli import commands, compare, importing, models, plan, simulate
 from terrafuse.cli.output import fail
 from terrafuse.errors import InputError, TerrafuseError
+from terrafuse.plugins import blamed
 
 app = typer.Typer(
     name="terrafuse",
@@ -63,9 +64,12 @@ def main() -> None:
         code = INTERRUPTED
         print("interrupted; what was committed is kept, and the same command goes on from there", file=sys.stderr)
     except Exception as error:
-        if not hasattr(error, "format_message"):
+        if theirs := blamed(error):
+            code = fail(theirs, as_json)
+        elif hasattr(error, "format_message"):
+            code = _wrong_use(error, as_json)
+        else:
             raise
-        code = _wrong_use(error, as_json)
     sys.exit(code)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -16,6 +17,8 @@ def _load(paths: Sequence[Path] | None) -> Sequence[Path]:
 
         for path in paths:
             load_plugin(path)
+        if "terrafuse.models" in sys.modules:
+            sys.modules["terrafuse.models"].check_layers()
     return paths or ()
 
 

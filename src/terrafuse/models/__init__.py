@@ -10,7 +10,7 @@ from terrafuse.errors import InputError
 from terrafuse.models.base import Layer, Model, Observer, Patch, Reading, fold, patch_of
 from terrafuse.models.elevation import Elevation
 from terrafuse.models.grey import Grey
-from terrafuse.models.layers import LAYERS, layers_of
+from terrafuse.models.layers import LAYERS, check_layers, layers_of
 from terrafuse.models.occupancy import Occupancy
 from terrafuse.models.terrain import Terrain
 from terrafuse.plugins import HINT
@@ -39,5 +39,6 @@ def make_model(name: str, settings: Mapping[str, Any] | None = None) -> Model:
 
 
 __all__ = [
-    "LAYERS", "MODELS", "Layer", "Model", "Observer", "Patch", "Reading", "fold", "layers_of", "make_model", "patch_of",
+    "LAYERS", "MODELS", "Layer", "Model", "Observer", "Patch", "Reading", "check_layers", "fold",
+    "layers_of", "make_model", "patch_of",
 ]  # fmt: skip

@@ -189,7 +189,9 @@ class Mapper:
         """Raise InputError where a scan touches tiles that reach beyond the lattice, which no delta can have."""
         most = MAX_CELL // self.lattice.tile_cells
         if any(abs(key.x) > most or abs(key.y) > most for key in keys):
-            raise InputError(f"the scan at {scan.T_world_sensor.position.tolist()} sees places beyond the lattice; is it in metres?")
+            raise InputError(
+                f"the scan at {scan.T_world_sensor.position.tolist()} sees places beyond the lattice; is it in metres?"
+            )
 
     def _whereabouts(self, scan: Scan, patch: AnyPatch) -> tuple[float, float]:
         """Where the window should be: the sensor's place, or the middle of what it saw if that is elsewhere.

@@ -388,7 +388,7 @@ def test_the_program_leaves_nothing_of_a_map_that_a_prior_makes_too_large(
         ran = terrafuse("map", f"r1={logs['r1']}", "--model", "terrain", "--prior", file, "--out", tmp_path / "out")
         assert ran.code == 2
         assert f"{file}: feature {feature}, 10000000 to 10000005 east and 10000000 to 10000005 north," in ran.err
-        assert "from where r1 begin" in ran.err
+        assert "from where r1 begins:" in ran.err
         assert not (tmp_path / "out").exists()
 
 

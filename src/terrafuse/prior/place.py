@@ -57,7 +57,9 @@ def check_extents(extents: Sequence[Extent], lattice: Lattice, beginnings: Mappi
 
 
 def _names(beginnings: Mapping[str, tuple[float, float]]) -> str:
-    return f"where {' and '.join(beginnings)} begin" if beginnings else "the rest"
+    if not beginnings:
+        return "the rest"
+    return f"where {' and '.join(beginnings)} begin{'s' if len(beginnings) == 1 else ''}"
 
 
 def _cells_around(extents: Sequence[Extent], places: Floats) -> float:

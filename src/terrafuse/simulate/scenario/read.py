@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from terrafuse import strict_yaml
-from terrafuse.errors import InputError, TerrafuseError
+from terrafuse.errors import InputError, TerrafuseError, shown
 from terrafuse.simulate.scenario.model import RobotsPart, Scenario, WorldPart
 from terrafuse.simulate.world import World
 from terrafuse.simulate.worlds import WORLDS
@@ -133,7 +133,7 @@ def _complaint(first: Mapping[str, Any], kind: type[BaseModel]) -> str:
         return _unknown(key, list(_fields(kind, first["loc"][:-1])))
     if first["type"] == "missing":
         return f"'{where}' is missing; give it"
-    return f"{where} = {strict_yaml.shown(first['input'])}: {_lower(first['msg'])}"
+    return f"{where} = {shown(first['input'])}: {_lower(first['msg'])}"
 
 
 def _unknown(key: str, known: Sequence[str]) -> str:

@@ -256,10 +256,8 @@ def test_points_beyond_the_lattice_are_dropped(axis: int, sign: int) -> None:
     """10 m before the last cell: of points 5, 50 and 9000 m further (the index grid ends at 2048) the first counts."""
     points, place = np.zeros((3, 3)), np.zeros(3)
     points[:, axis], place[axis] = np.multiply(sign, (5.0, 50.0, 9000.0)), sign * (MAX_CELL - 10)
-    mapper = Mapper("r", LATTICE, FAR_AWAY)
-    done = mapper.integrate(Scan(0, points, pose_of(np.eye(3), place)))
-    assert (done.cells, dict(done.dropped)) == (1, {"beyond the lattice": 2})
-    assert Replica(LATTICE, FAR_AWAY).apply(mapper.delta())
+    patch = FAR_AWAY.observer(LATTICE)(Scan(0, points, pose_of(np.eye(3), place)))
+    assert (patch.cells, dict(patch.dropped)) == (1, {"beyond the lattice": 2})
 
 
 @pytest.mark.parametrize(("seconds", "share"), [(0, 1), (600, 1 / 2), (1200, 1 / 4), (300, math.sqrt(0.5))])

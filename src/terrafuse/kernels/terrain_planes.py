@@ -57,8 +57,9 @@ def fit(sums, count, sensor_z, cells_per_m, shape, cells):
     least2 = max(COLLINEAR * COLLINEAR * sigma * sigma, ROUNDING2)
     for k in range(count):
         s, cell = sums[k], cells[k]
-        u, v, w = s.u / s.n, s.v / s.n, s.w / s.n
-        uu, uv, vv = s.uu / s.n - u * u, s.uv / s.n - u * v, s.vv / s.n - v * v
+        one_by_n = 1.0 / s.n  # divisions are most of the work
+        u, v, w = s.u * one_by_n, s.v * one_by_n, s.w * one_by_n
+        uu, uv, vv = s.uu * one_by_n - u * u, s.uv * one_by_n - u * v, s.vv * one_by_n - v * v
         half = (uu - vv) / 2
         thinnest2 = (uu + vv) / 2 - math.sqrt(half * half + uv * uv)
         a, b, error = 0.0, 0.0, 0.0
@@ -67,11 +68,11 @@ def fit(sums, count, sensor_z, cells_per_m, shape, cells):
             w = s.high
             cell.flags = HEIGHT | WALL
         elif s.n >= 3.0 and thinnest2 > least2:
-            determinant = uu * vv - uv * uv
-            aside = (u * u * vv - 2.0 * u * v * uv + v * v * uu) / determinant
-            if shape.sigma_m * math.sqrt((1.0 + aside) / s.n) <= shape.loosest_m:
-                uw, vw = s.uw / s.n - u * w, s.vw / s.n - v * w
-                a, b = (uw * vv - vw * uv) / determinant, (vw * uu - uw * uv) / determinant
+            one_by_determinant = 1.0 / (uu * vv - uv * uv)
+            aside = (u * u * vv - 2.0 * u * v * uv + v * v * uu) * one_by_determinant
+            if shape.sigma_m * shape.sigma_m * (1.0 + aside) * one_by_n <= shape.loosest_m * shape.loosest_m:
+                uw, vw = s.uw * one_by_n - u * w, s.vw * one_by_n - v * w
+                a, b = (uw * vv - vw * uv) * one_by_determinant, (vw * uu - uw * uv) * one_by_determinant
                 error = sigma / math.sqrt(s.n * thinnest2)
                 cell.flags = HEIGHT | GRADIENTS | PLANE
         cell.height = w - a * u - b * v + sensor_z
@@ -81,13 +82,11 @@ def fit(sums, count, sensor_z, cells_per_m, shape, cells):
 
 
 @njit(inline="always")
-def neighbour(a, b, grid, first_slot, cells):
-    """The slot of the cell (a, b) of the window; negative where this scan did not hit it, or hit a wall there: what
-    stands beside a cell says nothing of its slope."""
+def neighbour(a, b, grid, first_slot):
+    """The slot of the cell (a, b) of the window; negative where this scan did not hit it."""
     if a < 0 or b < 0 or a >= WINDOW or b >= WINDOW:
         return -1
-    slot = grid[place_of(a, b)] - first_slot
-    return -1 if slot >= 0 and cells[slot].flags & WALL else slot
+    return grid[place_of(a, b)] - first_slot
 
 
 @njit(inline="always")
@@ -107,15 +106,19 @@ def difference_neighbours(sums, places, count, grid, first_slot, cells_per_m, po
     """Gradients of the cells that have no plane, from the heights of their four neighbours.
 
     Their error is that of the heights, means of so many points each; where in their cells these lie, it leaves out.
+    What stands beside a cell says nothing of its slope: `grid` has no walls afterwards.
     """
     sigma = point_sigma_m * cells_per_m
+    for k in range(count):
+        if cells[k].flags & WALL:
+            grid[places[k]] = first_slot - 1
     for k in range(count):
         cell = cells[k]
         if cell.flags & (GRADIENTS | WALL):
             continue
         a, b = cell_at(places[k])
-        west, east = neighbour(a - 1, b, grid, first_slot, cells), neighbour(a + 1, b, grid, first_slot, cells)
-        south, north = neighbour(a, b - 1, grid, first_slot, cells), neighbour(a, b + 1, grid, first_slot, cells)
+        west, east = neighbour(a - 1, b, grid, first_slot), neighbour(a + 1, b, grid, first_slot)
+        south, north = neighbour(a, b - 1, grid, first_slot), neighbour(a, b + 1, grid, first_slot)
         cell.gradient_x, variance_x, has_x = difference(west, k, east, sums, cells, cells_per_m)
         cell.gradient_y, variance_y, has_y = difference(south, k, north, sums, cells, cells_per_m)
         cell.gradient_error = np.float32(sigma * math.sqrt(max(variance_x, variance_y)))
@@ -123,9 +126,9 @@ def difference_neighbours(sums, places, count, grid, first_slot, cells_per_m, po
 
 
 @njit(inline="always")
-def range_weight(distance, max_range):
-    """1 at the sensor, 0.8 at three quarters of the range, 0 at its end (eq. 10, as its text and figure have it)."""
-    share = distance / max_range
+def range_weight(share):
+    """At this share of the range: 1 at the sensor, 0.8 at three quarters, 0 at its end (eq. 10, as its text and figure
+    have it)."""
     if share <= SMALL_RANGE:
         return 1.0 - SMALL_PENALTY / SMALL_RANGE * share
     return max((1.0 - SMALL_PENALTY) / (1.0 - SMALL_RANGE) * (1.0 - share), 0.0)
@@ -143,14 +146,16 @@ def bits(x):
 @njit(cache=True, nogil=True)
 def assess(sums, places, count, i0, j0, T, cells_per_m, max_range, subcells, cells):
     """Confidence: the share of sub-cells hit, times the weight of the distance to the middle of the points."""
+    side, per_subcell, per_range = 1.0 / cells_per_m, 1.0 / subcells, 1.0 / max_range
     for k in range(count):
         s = sums[k]
         a, b = cell_at(places[k])
-        east = (i0 + a + 0.5 + s.u / s.n) / cells_per_m - T[0, 3]
-        north = (j0 + b + 0.5 + s.v / s.n) / cells_per_m - T[1, 3]
-        up = s.w / s.n
-        weight = range_weight(math.sqrt(east * east + north * north + up * up), max_range)
-        cells[k].confidence = min(np.float32(bits(s.hit) / subcells * weight), MOST_CONFIDENT)
+        one_by_n = 1.0 / s.n
+        east = (i0 + a + 0.5 + s.u * one_by_n) * side - T[0, 3]
+        north = (j0 + b + 0.5 + s.v * one_by_n) * side - T[1, 3]
+        up = s.w * one_by_n
+        weight = range_weight(math.sqrt(east * east + north * north + up * up) * per_range)
+        cells[k].confidence = min(np.float32(bits(s.hit) * per_subcell * weight), MOST_CONFIDENT)
 
 
 @njit(cache=True, nogil=True)

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from terrafuse.kernels.evidence import MAX_Z_M
-from terrafuse.kernels.memory import DISTANCE, prefetch
+from terrafuse.kernels.memory import DISTANCE, add_four, prefetch
 from terrafuse.kernels.rasterise import BLOCK, NOWHERE, WINDOW, account, place_of
 from terrafuse.lattice import MAX_CELL
 from terrafuse.types import Array, Floats
@@ -137,14 +137,8 @@ def clear(s):
 
 @njit(inline="always")
 def hit(s, part, u, v, w):
-    s.n += 1.0
-    s.u += u
-    s.v += v
-    s.w += w
-    s.uu += u * u
-    s.uv += u * v
-    s.vv += v * v
-    s.uw += u * w
+    add_four(s, "n", 1.0, u, v, w)
+    add_four(s, "uu", u * u, u * v, v * v, u * w)
     s.vw += v * w
     s.low = min(s.low, w)
     s.high = max(s.high, w)

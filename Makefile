@@ -51,6 +51,7 @@ bench: setup
 
 accuracy: setup
 	$(BIN)/python -m tests.accuracy
+	$(BIN)/python -m tests.accuracy_analytic
 	$(BIN)/python -m tests.accuracy_terrain
 	$(BIN)/python -m tests.accuracy_occupancy
 	$(BIN)/python -m tests.accuracy_windows

@@ -23,7 +23,6 @@ import numpy as np
 
 from bench.report import parser, tell
 from bench.stream import scene
-from terrafuse.demo.scene import Lidar, scan
 from terrafuse.kernels import (
     rasterise,
     terrain,
@@ -36,6 +35,7 @@ from terrafuse.kernels import (
 from terrafuse.lattice import Lattice
 from terrafuse.mapper import Mapper
 from terrafuse.models.terrain import Terrain
+from terrafuse.testing.analytic.scene import Lidar, scan
 from terrafuse.tile import opaque
 from terrafuse.types import Array, Pose, Scan
 

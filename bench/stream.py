@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrafuse.demo.boxes import Box
-from terrafuse.demo.ground import Ground
-from terrafuse.demo.scene import Lidar, Scene, box_on, scan
+from terrafuse.testing.analytic.boxes import Box
+from terrafuse.testing.analytic.ground import Ground
+from terrafuse.testing.analytic.scene import Lidar, Scene, box_on, scan
 from terrafuse.types import Pose, Scan
 
 SENSOR_HEIGHT_M = 1.8

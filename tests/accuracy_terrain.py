@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from terrafuse.demo.scene import Scene, covered, scan, truth
-from terrafuse.demo.world import LIDAR, ROUNDS, SCENE, T_BASE_SENSOR, pose_on
 from terrafuse.kernels.terrain import GRADIENTS
 from terrafuse.lattice import Lattice
 from terrafuse.mapper import Mapper
 from terrafuse.models.terrain import Terrain
 from terrafuse.replica import Replica
+from terrafuse.testing.analytic.scene import Scene, covered, scan, truth
+from terrafuse.testing.analytic.world import LIDAR, ROUNDS, SCENE, T_BASE_SENSOR, pose_on
 from terrafuse.testing.deltas import SECOND_NS, scan_of
 from terrafuse.types import Array, Floats, Pose, Scan
 from terrafuse.views import chosen_layers, mosaic, window_of
@@ -128,7 +128,7 @@ def dem_differences(heights: Floats, cell_m: float) -> dict[str, float]:
 
 
 def lap(robot: str, scans: int, tilt_rad: float, shift_m: float) -> list[Scan]:
-    """So many scans of a robot's round in the demo's world, poses in error by so much (standard deviations)."""
+    """So many scans of a robot's round in the analytic world, poses in error by so much (standard deviations)."""
     rng = np.random.default_rng([1, list(ROUNDS).index(robot)])
     out = []
     for k in range(scans):

@@ -18,9 +18,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from terrafuse.demo.boxes import Box, Car, Pit
-from terrafuse.demo.ground import Ground
-from terrafuse.demo.scene import Lidar, Scene, covered, scan, truth
 from terrafuse.kernels import absorb, evidence
 from terrafuse.lattice import Lattice
 from terrafuse.mapper import Mapper
@@ -28,6 +25,9 @@ from terrafuse.models import Reading, fold, make_model
 from terrafuse.replica import Replica
 from terrafuse.store.behind import WriteBehind
 from terrafuse.store.sqlite import SqliteStore
+from terrafuse.testing.analytic.boxes import Box, Car, Pit
+from terrafuse.testing.analytic.ground import Ground
+from terrafuse.testing.analytic.scene import Lidar, Scene, covered, scan, truth
 from terrafuse.types import Array, Bounds, Floats, Pose, Scan, TileKey
 from terrafuse.views import chosen_layers, mosaic
 from terrafuse.window import Tiles3x3

@@ -82,3 +82,12 @@ def test_a_broken_scenario_names_its_line(tmp_path: Path) -> None:
     assert ran.code == 2
     assert "broken.yaml:5:" in ran.err
     assert not (tmp_path / "out").exists()
+
+
+def test_the_demo_is_the_village_with_three_robots(tmp_path: Path) -> None:
+    ran = terrafuse("demo", "--headless", "--duration", "0.2", "--out", tmp_path / "demo")
+    assert ran.code == 0, ran.err
+    report = json.loads((tmp_path / "demo" / "report.json").read_text())
+    assert list(report["robots"]) == ["r1", "r2", "r3"]
+    assert report["scenario"]["study"] == "village"
+    assert any("Milliseconds a stage" in table["title"] for table in report["timings"]["tables"])

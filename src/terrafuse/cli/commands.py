@@ -228,26 +228,3 @@ def export(
         say_json({"out": str(out), "format": written})
     else:
         say(f"wrote {out}")
-
-
-def demo(
-    out: Out = Path("demo"),
-    headless: Annotated[bool, typer.Option("--headless", help="Do not open the picture.")] = False,
-    json: Json = False,
-) -> None:
-    """Map a small invented place, driven by two robots past a moving car, and measure the error against the truth."""
-    from terrafuse.cli.demo import run_demo
-
-    tell_of_compiling()
-    with log_progress() as progress:
-        report = run_demo(out, progress)
-    if json:
-        say_json(report)
-        return
-    _tell_map(report, out)
-    for name, value in report["truth"].items():
-        say(f"  {name}: {value:.4g}" if isinstance(value, float) else f"  {name}: {value}")
-    picture = out / report["files"]["picture"]
-    say(f"picture: {picture}")
-    if not headless:
-        typer.launch(str(picture))

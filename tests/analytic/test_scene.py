@@ -1,4 +1,4 @@
-"""The demo's world: what its lidar sees lies on what is there, and its truth is what is there."""
+"""The analytic world: what its lidar sees lies on what is there, and its truth is what is there."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from terrafuse.demo.boxes import Box, Car, Pit
-from terrafuse.demo.ground import Ground, Hill, ground_ranges
-from terrafuse.demo.scene import Lidar, Scene, at_time, box_on, covered, first_returns, scan, truth
-from terrafuse.demo.world import LIDAR, ROUNDS, SCENE, T_BASE_SENSOR, pose_on
 from terrafuse.lattice import Lattice
+from terrafuse.testing.analytic.boxes import Box, Car, Pit
+from terrafuse.testing.analytic.ground import Ground, Hill, ground_ranges
+from terrafuse.testing.analytic.scene import Lidar, Scene, at_time, box_on, covered, first_returns, scan, truth
+from terrafuse.testing.analytic.world import LIDAR, ROUNDS, SCENE, T_BASE_SENSOR, pose_on
 from terrafuse.types import Array, Floats, Pose, checked_pose
 
 LATTICE = Lattice(0.5, 20.0)
@@ -313,7 +313,7 @@ def test_cells_on_walls_are_the_ones_between_grown_and_shrunk() -> None:
     assert (on_wall | ~mixed).all()
 
 
-def test_what_a_scan_sees_of_the_demo_is_its_truth() -> None:
+def test_what_a_scan_sees_of_the_world_is_its_truth() -> None:
     """Points well within a cell's side of a wall have the truth's height at their cell's centre, but for the slope."""
     time_s, lattice = 10.0, Lattice(0.1)
     T_world_sensor = pose_on(SCENE.ground, *ROUNDS["r1"].place(time_s)) @ T_BASE_SENSOR

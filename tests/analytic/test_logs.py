@@ -1,4 +1,4 @@
-"""The demo's recordings, read back like anybody's, and the map that they make against the world's truth."""
+"""Recordings in the analytic world, read back like anybody's, and the map that they make against the world's truth."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from terrafuse.demo.logs import START_NS, write_logs
-from terrafuse.demo.scene import Scene, covered, scan, truth
-from terrafuse.demo.truth import compare
-from terrafuse.demo.world import LIDAR, ROUNDS, SCENE, T_BASE_SENSOR, pose_on
 from terrafuse.errors import InputError
 from terrafuse.lattice import Lattice
 from terrafuse.logs import open_log
 from terrafuse.mapper import Mapper
-from terrafuse.models import make_model
 from terrafuse.replica import Replica
+from terrafuse.testing.analytic.scene import Scene, covered, scan, truth
+from terrafuse.testing.analytic.world import LIDAR, ROUNDS, SCENE, T_BASE_SENSOR, pose_on
 from terrafuse.testing.deltas import scan_of
 from terrafuse.types import Bounds, Scan
+from tests.analytic.logs import START_NS, write_logs
+from tests.analytic.maps import map_of
+from tests.analytic.truth import compare
 
 SECONDS = 22.0
 """The car is gone after 17.6 s; the rest is for looking once more."""
@@ -29,28 +29,17 @@ LATTICE = Lattice(0.2)
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    return write_logs(tmp_path_factory.mktemp("demo") / "logs", seconds=SECONDS, seed=3)
-
-
-def map_of(logs: dict[str, Path], static: bool) -> Replica:
-    replica = Replica(LATTICE, make_model("elevation", {"static": static}))
-    for robot, path in logs.items():
-        mapper = Mapper(robot, LATTICE, replica.model)
-        for record in open_log(str(path)).scans():
-            assert isinstance(record, Scan)
-            mapper.integrate(record)
-        replica.apply(mapper.delta())
-    return replica
+    return write_logs(tmp_path_factory.mktemp("analytic") / "logs", seconds=SECONDS, seed=3)
 
 
 @pytest.fixture(scope="module")
 def with_rule(logs: dict[str, Path]) -> dict[str, int | float]:
-    return compare(map_of(logs, static=False))
+    return compare(map_of(logs, LATTICE, static=False))
 
 
 @pytest.fixture(scope="module")
 def without_rule(logs: dict[str, Path]) -> dict[str, int | float]:
-    return compare(map_of(logs, static=True))
+    return compare(map_of(logs, LATTICE, static=True))
 
 
 def test_the_logs_hold_what_was_seen_from_where_it_was_seen(logs: dict[str, Path]) -> None:

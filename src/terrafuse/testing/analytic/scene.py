@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from terrafuse.demo.boxes import Box, Car, Pit, spans
-from terrafuse.demo.ground import Ground, ground_ranges
 from terrafuse.lattice import Lattice
+from terrafuse.testing.analytic.boxes import Box, Car, Pit, spans
+from terrafuse.testing.analytic.ground import Ground, ground_ranges
 from terrafuse.types import Array, Floats, Pose
 from terrafuse.views import CellWindow
 

@@ -1,4 +1,4 @@
-"""The demo's recordings: what the robots of `world` would have brought home."""
+"""What the robots of the analytic world would have brought home."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from terrafuse.demo.scene import scan
-from terrafuse.demo.world import GROUND, LIDAR, ROUNDS, SCENE, T_BASE_SENSOR, Round, pose_on
 from terrafuse.logs.recorder import McapRecorder
+from terrafuse.testing.analytic.scene import scan
+from terrafuse.testing.analytic.world import GROUND, LIDAR, ROUNDS, SCENE, T_BASE_SENSOR, Round, pose_on
 from terrafuse.types import Stamp
 
 START_NS: Stamp = 1_760_000_000_000_000_000

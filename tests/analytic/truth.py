@@ -1,4 +1,4 @@
-"""How far the demo's map is from the demo's world."""
+"""How far a map is from the analytic world."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from terrafuse.demo.scene import Scene, covered, truth
-from terrafuse.demo.world import SCENE
 from terrafuse.errors import InputError
 from terrafuse.replica import Replica
+from terrafuse.testing.analytic.scene import Scene, covered, truth
+from terrafuse.testing.analytic.world import SCENE
 from terrafuse.types import Array, Floats
 from terrafuse.views import chosen_layers, mosaic, window_of
 

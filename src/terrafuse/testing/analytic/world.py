@@ -1,4 +1,4 @@
-"""The demo's world: rolling ground, houses and crates, a road with a car, two robots on their rounds."""
+"""Rolling ground, houses and crates, a road with a car, two robots on their rounds."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrafuse.demo.boxes import Car
-from terrafuse.demo.ground import Ground, Hill
-from terrafuse.demo.scene import Lidar, Scene, box_on
+from terrafuse.testing.analytic.boxes import Car
+from terrafuse.testing.analytic.ground import Ground, Hill
+from terrafuse.testing.analytic.scene import Lidar, Scene, box_on
 from terrafuse.types import Pose, pose_of
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from terrafuse.errors import InputError
+from terrafuse.exchange.coarse import CoarseContribution
 from terrafuse.exchange.delta import Delta
 from terrafuse.lattice import Lattice, default_tile_m
 from terrafuse.logs.recorder import McapRecorder
@@ -27,11 +28,13 @@ from terrafuse.simulate.mission.localiser import LOCALISERS
 from terrafuse.simulate.mission.ownmap import OwnMap
 from terrafuse.simulate.mission.prior import FILE as PRIOR_FILE
 from terrafuse.simulate.mission.prior import coarse_prior, prior_store, write_buildings
+from terrafuse.simulate.mission.reachable import Reach, first_unreachable
 from terrafuse.simulate.mission.senses import Around, Sense
 from terrafuse.simulate.mission.situation import Situation
 from terrafuse.simulate.mission.starts import LANE, names_of, starts_of, station_place
 from terrafuse.simulate.mission.surface import Surface
 from terrafuse.simulate.mission.vehicle import Vehicle
+from terrafuse.simulate.motion import Rotors
 from terrafuse.simulate.movers import bodies
 from terrafuse.simulate.rays import RayCaster
 from terrafuse.simulate.scenario import Loaded
@@ -82,7 +85,9 @@ class Mission:
             self._vehicle(number, name, part, coarse, folder if record else None)
             for number, (name, part) in enumerate(names_of(loaded))
         ]
+        self._check_waypoints()
         self._allot()
+        self._warm_up()
 
     @property
     def coarse_lattice(self) -> Lattice:
@@ -139,6 +144,33 @@ class Mission:
         else:
             list(pool.map(sense, self.vehicles))
 
+    def _check_waypoints(self) -> None:
+        """Raise InputError, with its line, for the first waypoint that no way leads to on the ground."""
+        reaches: dict[float, Reach] = {}
+        for vehicle, (_, part) in zip(self.vehicles, names_of(self.loaded), strict=True):
+            behaviour, kind = vehicle.behaviour, self.fleet.kind(vehicle.number)
+            if not isinstance(behaviour, Patrol) or isinstance(kind.carriage, Rotors):
+                continue
+            goals = behaviour.settings.waypoints_m
+            if goals and kind.radius_m not in reaches:
+                reaches[kind.radius_m] = Reach(self.world, kind.radius_m)
+            east, north, _ = self.fleet.position_m(vehicle.number).tolist()
+            wrong = first_unreachable(reaches[kind.radius_m], (east, north), goals) if goals else None
+            if wrong is not None:
+                place = ("robots", self.scenario.robots.index(part), "behaviour", "waypoints_m", wrong[0])
+                raise self.loaded.error(place, f"waypoint {goals[wrong[0]]} of {vehicle.name} {wrong[1]}; move it")
+
+    def _warm_up(self) -> None:
+        """Map a made-up scan on the side: kernels are compiled with their first use, which is no robot's time."""
+        mapper = Mapper("nobody", self.lattice, self.model)
+        contribution = CoarseContribution(mapper, self.scenario.map.global_factor)
+        for vehicle in self.vehicles[:1]:
+            for sense in (*vehicle.senses, *vehicle.senses):
+                sensor, where = sense.sensor, self.fleet.pose(vehicle.number)
+                beams = len(sensor.beams.angles()[0]) if sensor.beams else 0
+                mapper.integrate(sense.scan(np.full(beams, sensor.max_range_m / 2), self.stamp_ns, where))
+                contribution.update()
+
     def _known_before(self, folder: Path | None) -> tuple[MemoryStore | None, Delta | None]:
         """The prior on the robots' lattice, and coarsened."""
         height_m = self.scenario.map.prior_building_height_m
@@ -178,13 +210,11 @@ class Mission:
 
     def _sense_of(self, number: int, index: int, k: int, part: SensorPart) -> Sense:
         place = ("robots", index, "sensors", k, "description")
+        rng = np.random.default_rng([self.scenario.seed, number, 2, k])
+        if not isinstance(part.description, str):
+            return Sense(part, described(self.loaded.document.within(place)), number, rng)
         try:
-            sensor = (
-                load_sensor(part.description)
-                if isinstance(part.description, str)
-                else described(self.loaded.document.within(place))
-            )
-            return Sense(part, sensor, number, np.random.default_rng([self.scenario.seed, number, 2, k]))
+            return Sense(part, load_sensor(part.description), number, rng)
         except InputError as error:
             raise self.loaded.error(place, str(error)) from error
 
@@ -219,10 +249,16 @@ def lattice_of(loaded: Loaded) -> Lattice:
     part = loaded.scenario.map
     try:
         lattice = Lattice(part.resolution_m, part.tile_m or default_tile_m(part.resolution_m), loaded.world.crs)
+    except InputError as error:
+        raise loaded.error(("map", "resolution_m"), str(error)) from error
+    try:
         lattice.coarser(part.global_factor)
+    except InputError as error:
+        raise loaded.error(("map", "global_factor"), str(error)) from error
+    try:
         make_window(part.window, lattice)
     except InputError as error:
-        raise loaded.error(("map",), str(error)) from error
+        raise loaded.error(("map", "window"), str(error)) from error
     return lattice
 
 

@@ -55,6 +55,12 @@ def truth_of(world: World, lattice: Lattice) -> Truth:
     return Truth(world, lattice, lattice.cell_window(world.bounds))
 
 
+def truth_under(world: World, replica: Replica) -> Truth:
+    """The truth where a map knows anything, and a cell around."""
+    i0, j0, i1, j1 = views.known_window(replica) or (0, 0, 1, 1)
+    return Truth(world, replica.lattice, (i0 - 1, j0 - 1, i1 + 1, j1 + 1))
+
+
 def height_errors(replica: Replica, known: Truth) -> Floats:
     """(H, W): the map's height less the true one; NaN where the map has none."""
     layer = layers_of(replica.model)["height"]
@@ -81,7 +87,7 @@ def measures(replica: Replica, known: Truth) -> dict[str, Any]:
     out: dict[str, Any] = {"obstacles": obstacle_facts(occupied, known.obstacles)}
     seen = np.isfinite(occupied)
     if known.streets.any():
-        out["streets_seen"] = float((seen & known.streets).sum() / known.streets.sum())
+        out["street_cells_seen"] = int((seen & known.streets).sum())
     if "height" in layers:
         errors = height_errors(replica, known)
         out["height"] = error_facts(errors)
@@ -101,9 +107,9 @@ def obstacle_facts(occupied: Floats, true: Array) -> dict[str, int]:
     free = occupied < OCCUPIED_FROM
     return {
         "claimed": int(claimed.sum()),
-        "false": int((claimed & ~_wider(true)).sum()),
+        "false": int((claimed & ~wider(true)).sum()),
         "seen": int((true & np.isfinite(occupied)).sum()),
-        "missed": int((true & free & ~_wider(claimed)).sum()),
+        "missed": int((true & free & ~wider(claimed)).sum()),
     }
 
 
@@ -134,7 +140,7 @@ def without_prior(replica: Replica) -> Replica:
     return Replica(store=replica.store, without=[PRIOR])
 
 
-def _wider(mask: Array) -> Array:
+def wider(mask: Array) -> Array:
     """And the eight cells around each."""
     return np.asarray(_highest(mask.astype(np.float64)) > 0)
 

@@ -24,7 +24,7 @@ from terrafuse.results import PARTIAL_STORE, STORE, Stage, map_facts, peak_resid
 from terrafuse.simulate.mission.engine import Mission, Watcher, lattice_of, model_of
 from terrafuse.simulate.mission.exchange import STATION, counts_of
 from terrafuse.simulate.mission.film import Film
-from terrafuse.simulate.mission.measures import measures, truth_of, without_prior
+from terrafuse.simulate.mission.measures import measures, truth_under, without_prior
 from terrafuse.simulate.mission.pictures import Tracks, write_pictures
 from terrafuse.simulate.mission.prior import FILE as PRIOR_FILE
 from terrafuse.simulate.mission.recording import check_can_record, write_sensors
@@ -119,6 +119,7 @@ def _write(mission: Mission, left: _Left, out: Path, record: bool, clock: Clock)
     if "map" in pictures:
         clock("raster", lambda: write_cog(fused, out / RASTER))
         files["raster"] = RASTER
+    files |= left.study.pictures(out)
     if mission.prior is not None:
         files["prior"] = PRIOR_FILE
     if record:
@@ -153,8 +154,8 @@ def _facts(mission: Mission, fused: Replica, left: _Left) -> dict[str, Any]:
         "station": mission.station.facts(),
         "radio": counts_of(mission.radio),
         "measures": {
-            "map": measures(without_prior(fused), truth_of(mission.world, fused.lattice)),
-            "global": measures(without_prior(station), truth_of(mission.world, station.lattice)),
+            name: measures(seen, truth_under(mission.world, seen))
+            for name, seen in (("map", without_prior(fused)), ("global", without_prior(station)))
         },
         "timeline": left.timeline.rows,
         "tables": [table.as_json() for table in left.study.tables()],

@@ -122,8 +122,14 @@ def checked(
     try:
         return kind.model_validate({key: item for key, item in value.items() if key not in leaving_out})
     except ValidationError as error:
-        first: Any = error.errors()[0]
+        first = _first(error)
         raise document.error((*path, *first["loc"]), _complaint(first, kind)) from error
+
+
+def _first(error: ValidationError) -> Any:
+    """The fault to tell: an unknown key before one that is missing, which it may have been meant for."""
+    faults = error.errors()
+    return next((fault for fault in faults if fault["type"] == "extra_forbidden"), faults[0])
 
 
 def _complaint(first: Mapping[str, Any], kind: type[BaseModel]) -> str:

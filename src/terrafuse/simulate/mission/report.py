@@ -17,6 +17,7 @@ CAPTIONS = {
     "world": "The world as it is, and where the robots truly went. Triangle: the station.",
     "map": "The map of all robots together, with the paths that they believed in.",
     "global": "The global map as the station has it: coarser, from what robots reported over the radio.",
+    "whole map": "The map of the station, and the robots where they say that they are.",
 }
 FILM_CAPTION = "The station's global map as it grows. Pale: known beforehand, seen by nobody yet."
 

@@ -62,7 +62,7 @@ class Sense:
         """Whether it reads at this tick; then the next time is set."""
         if stamp_ns < self.next_ns:
             return False
-        self.next_ns = self.next_ns + self.period_ns if self.part.rate_hz else stamp_ns
+        self.next_ns = (self.next_ns or stamp_ns) + self.period_ns
         return True
 
     @property
@@ -71,8 +71,7 @@ class Sense:
 
     def ping(self, T_world_base: Pose) -> Ping:
         """How others hear its round, or where all fire at once, its one ping."""
-        count = 1 if self.sensor.beams is None else len(self.sensor.beams.angles()[0])
-        round_s = count * self.sensor.firing_period_s or AT_ONCE_S
+        round_s = len(self.sonar.turns_s) * self.sensor.firing_period_s or AT_ONCE_S
         delay_s = 0.0 if self.part.pulses == "aligned" else float(self.rng.uniform(0, round_s))
         code = walsh_hadamard()[USABLE_CODES[self.number % len(USABLE_CODES)]]
         return Ping(self.sonar, T_world_base, delay_s, code)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from time import thread_time
+from time import perf_counter, thread_time
 from typing import Any
 
 import numpy as np
@@ -45,8 +45,8 @@ class Vehicle:
     )
     """Of processor time, by what it went for."""
     longest_pause_s: float = 0.0
-    """That a scan took to get into the map, what left the window out of memory, and what came into it back; but not the
-    first scan, which loads the compiled loops."""
+    """By the clock on the wall, that a scan took to get into the map, what left the window out of memory, and what came
+    into it back; but not the first scan, which loads the compiled loops."""
     points: int = 0
     way_m: float = 0.0
     _last_m: Floats | None = None
@@ -81,14 +81,13 @@ class Vehicle:
             self.recorder.scan(stamp_ns, scan.points)
         met = echoes_of if sense.part.kind == "sonar" else obstacles_of
         obstacles = met(scan.points, sense.sensor.mounting.T_base_sensor, OBSTACLE_REACH_M)
-        t1 = thread_time()
+        t1, paused = thread_time(), perf_counter()
         self.mapper.integrate(scan)
-        took_s = thread_time() - t1
+        if self.mapper.revision > 1:
+            self.longest_pause_s = max(self.longest_pause_s, perf_counter() - paused)
         self.points += len(scan.points)
         self.seconds["simulate"] += t1 - t0
-        self.seconds["map"] += took_s
-        if self.mapper.revision > 1:
-            self.longest_pause_s = max(self.longest_pause_s, took_s)
+        self.seconds["map"] += thread_time() - t1
         return obstacles
 
     def _believe(self, fleet: Fleet, believed: Pose) -> None:

@@ -18,7 +18,10 @@ OFF_SURFACE_M = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Ping:
-    """A ring, or one `fired` sonar of it, that sends at a time with a code, from where its robot stands."""
+    """A ring, or one `fired` sonar of it, that sends at a time with a code, from where its robot stands.
+
+    A ring whose sonars fire in turn begins its round at that time, and goes round and round.
+    """
 
     sonar: Sonar
     T_world_base: Pose
@@ -49,7 +52,7 @@ def false_echoes(
     out = np.full(len(_beams(receiver)[1]), np.inf)
     for other in others:
         paths = sound_paths(caster, other, receiver, bodies)
-        delays = other.time_s - receiver.time_s + paths / SOUND_M_S
+        delays = _later_s(other, receiver) + paths / SOUND_M_S
         ranges = np.where(delays >= 0, range_of(delays), np.inf)
         ranges[~(ranges < receiver.sonar.sensor.max_range_m)] = np.inf
         for sending, hearing in np.argwhere(np.isfinite(ranges)):
@@ -57,6 +60,16 @@ def false_echoes(
             if let_through(kind, receiver.code, heard, threshold)[0]:
                 out[hearing] = min(out[hearing], ranges[sending, hearing])
     return out
+
+
+def _later_s(sender: Ping, receiver: Ping) -> Floats:
+    """(sending sonars, receiving sonars): from when one listens to when the other sends, of the rounds that are nearest
+    to each other."""
+    turns_s = sender.sonar.turns_s
+    later = sender.time_s + turns_s[:, None] - receiver.time_s - receiver.sonar.turns_s
+    round_s = sender.sonar.sensor.firing_period_s * len(turns_s)
+    in_turn = round_s > 0 and later.size > 1
+    return np.asarray(later - round_s * np.round(later / round_s) if in_turn else later)
 
 
 def _beams(ping: Ping) -> tuple[Floats, Floats]:

@@ -40,6 +40,12 @@ class Sonar:
                 f"{self.sensor.cone_half_angle_rad} rad; give 1 to 20, and a cone_half_angle between 0 and 90°"
             )
 
+    @property
+    def turns_s(self) -> Floats:
+        """(N,): when each sonar fires, after the first of a round."""
+        assert self.sensor.beams is not None
+        return np.asarray(self.sensor.firing_period_s * np.arange(len(self.sensor.beams.angles()[0])), np.float64)
+
 
 def sonar_scan(
     sonar: Sonar,

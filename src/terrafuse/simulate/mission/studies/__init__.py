@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from terrafuse.simulate.mission.engine import Mission, Watcher
-from terrafuse.simulate.mission.studies import fleet, village
+from terrafuse.simulate.mission.studies import fleet, hallway, soccer, village
 from terrafuse.simulate.mission.tables import Table
 from terrafuse.simulate.mission.timeline import Timeline
 from terrafuse.simulate.scenario import Loaded
@@ -21,6 +22,8 @@ class Study:
     """The same for the same seed."""
     timed_tables: Callable[[], list[Table]] = list
     """With times of clocks in them."""
+    pictures: Callable[[Path], dict[str, str]] = lambda out: {}
+    """Written into a folder; names of the files by what they show."""
 
 
 Tell = Callable[[str], None]
@@ -35,15 +38,36 @@ def _village(mission: Mission, timeline: Timeline) -> Study:
     )
 
 
+def _hallway(mission: Mission, timeline: Timeline) -> Study:
+    growth = hallway.Growth(mission)
+    return Study(
+        [growth],
+        lambda: [growth.table(), hallway.window_table(mission)],
+        lambda: [hallway.pause_table([mission])],
+    )
+
+
+def _soccer(mission: Mission, timeline: Timeline) -> Study:
+    game = soccer.Game(mission)
+    return Study(
+        [game],
+        lambda: [game.table(), soccer.echo_table([mission]), soccer.frame_table(mission)],
+        pictures=lambda out: soccer.picture(mission, out),
+    )
+
+
 STUDIES: dict[str, Callable[[Mission, Timeline], Study]] = {
     "fleet": lambda mission, timeline: Study(timed_tables=lambda: [fleet.cost_table(mission)]),
-    "hallway": lambda mission, timeline: Study(),
+    "hallway": _hallway,
     "map": lambda mission, timeline: Study(),
+    "soccer": _soccer,
     "village": _village,
 }
 
 SWEEPS: dict[str, Callable[[Loaded, Tell], list[Table]]] = {
     "fleet": lambda loaded, tell: [fleet.growth_table(loaded, tell=tell)],
+    "hallway": lambda loaded, tell: hallway.sweep(loaded, tell=tell),
+    "soccer": lambda loaded, tell: [soccer.echo_sweep(loaded, tell)],
     "village": lambda loaded, tell: [village.fleet_table(loaded, tell=tell)],
 }
 """Tables that take several missions: for the page of results, not for each run."""

@@ -22,7 +22,7 @@ Threads = Annotated[
 ]
 MOVES_MPS = 0.05
 """A robot that is faster moves."""
-DEMO, DEMO_ROBOTS, DEMO_S = "village", 3, 90.0
+DEMO, DEMO_ROBOTS, DEMO_S = "village", 3, 120.0
 REDRAW_S = 0.2
 INTERRUPTED = 130
 

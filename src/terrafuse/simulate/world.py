@@ -66,7 +66,8 @@ class World:
         """(K,) BODY of what moves, as it stands on the ground at a time."""
         places = [(mover.shape, mover.route.at(time_s)) for mover in self.movers]
         there = [(shape, place) for shape, place in places if place is not None]
-        return bodies(body(shape, x, y, float(self.terrain.height(x, y)), yaw) for shape, (x, y, yaw) in there)
+        heights = self.terrain.height(*np.array([place[:2] for _, place in there]).reshape(-1, 2).T).tolist()
+        return bodies(body(shape, x, y, z, yaw) for (shape, (x, y, yaw)), z in zip(there, heights, strict=True))
 
 
 def digest(world: World) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from time import thread_time
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -56,10 +56,10 @@ class Node:
 
     def tick(self, now_ns: int) -> None:
         if now_ns >= self._next_ns:
-            started = thread_time()
+            started = perf_counter()
             self.own.update()
             self.reports += 1
-            self.seconds["coarsen"] += thread_time() - started
+            self.seconds["coarsen"] += perf_counter() - started
             self._next_ns = now_ns + self._report_ns
         self._courier.tick(now_ns)
 
@@ -90,9 +90,9 @@ class Station:
         self._courier.post(robot, kind, json.dumps(value, separators=(",", ":")).encode())
 
     def tick(self, now_ns: int) -> None:
-        started = thread_time()
+        started = perf_counter()
         self._courier.tick(now_ns)
-        self.seconds += thread_time() - started
+        self.seconds += perf_counter() - started
 
     def facts(self) -> dict[str, Any]:
         return dict(sorted(self._courier.counts.items()))

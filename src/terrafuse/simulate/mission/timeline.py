@@ -13,14 +13,20 @@ from terrafuse.simulate.mission.engine import Mission
 from terrafuse.simulate.mission.measures import error_facts, without_prior
 from terrafuse.types import Array, Floats
 
+RARELY = 6
+"""The station's map is looked at for so many rows once: it is folded for that."""
 HOUSE_SHARE = 0.5
 """A coarse cell is a building's if so much of it is."""
 
 
 class Timeline:
-    """A watcher: a row each `frame_s`, of plain numbers by name. Heights where the model has them."""
+    """A watcher: a row each `frame_s`, of plain numbers by name.
 
-    def __init__(self, mission: Mission) -> None:
+    Each sixth row has what is at the station, too, and heights where the model has them; unless `at_station` is False.
+    """
+
+    def __init__(self, mission: Mission, at_station: bool = True) -> None:
+        self._asks_station = at_station
         self.rows: list[dict[str, Any]] = []
         self._next_s = 0.0
         lattice = mission.coarse_lattice
@@ -34,12 +40,14 @@ class Timeline:
         if mission.now_s + 1e-9 < self._next_s:
             return
         self._next_s += mission.scenario.frame_s
-        row = {
+        row: dict[str, Any] = {
             "time_s": round(mission.now_s, 3),
             "mapped_share": self._share(self._by_robots(mission)),
-            "mapped_share_at_station": self._share(self._at_station(mission)),
         }
-        self.rows.append(row | self._heights(mission))
+        if self._asks_station and len(self.rows) % RARELY == 0:
+            row["mapped_share_at_station"] = self._share(self._at_station(mission))
+            row |= self._heights(mission)
+        self.rows.append(row)
         stop = mission.scenario.stop_mapped_share
         if stop is not None and row["mapped_share"] >= stop:
             mission.stop()

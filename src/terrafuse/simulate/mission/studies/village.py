@@ -99,7 +99,7 @@ class Heights:
 
 def growth_table(timeline: Timeline) -> Table:
     """The station's global map as time goes by: what is mapped, and the buildings' heights, the guesses included."""
-    rows = timeline.rows
+    rows = [row for row in timeline.rows if "mapped_share_at_station" in row]
     some = [rows[k] for k in sorted({round(k * (len(rows) - 1) / 11) for k in range(12)})] if rows else []
     return Table(
         "The global map (GLRM) as it grows",
@@ -153,7 +153,7 @@ def mapped_s(loaded: Loaded) -> float | None:
     """When a mission has mapped what its scenario asks for."""
     with TemporaryDirectory() as folder:
         mission = Mission(loaded, folder=Path(folder))
-        timeline = Timeline(mission)
+        timeline = Timeline(mission, at_station=False)
         mission.run([timeline])
     share = loaded.scenario.stop_mapped_share
     return None if share is None else timeline.reached_s(share)

@@ -30,7 +30,12 @@ MOST_BYTES = 300_000
 SIDES = (900, 700, 550, 400, 300)
 """Pixels of a picture's longer side, tried one after the other until it is small enough."""
 ORDER = ("village", "hallway", "soccer", "parking", "fleet")
-SHOWN = {"film": "the station's map as it grows", "world": "the world", "map": "the robots' maps, fused"}
+SHOWN = {
+    "film": "the station's map as it grows",
+    "world": "the world",
+    "map": "the robots' maps, fused",
+    "whole map": "the whole map, with the robots where they say that they are",
+}
 INTRO = """# Results
 
 Every scenario that ships, at full length, beside the papers' own figures. `make results` runs them all and writes this
@@ -81,7 +86,7 @@ def _pictures(name: str, files: dict[str, str], out: Path, images: Path) -> Iter
     images.mkdir(parents=True, exist_ok=True)
     for kind, about in SHOWN.items():
         if kind in files:
-            target = images / f"results-{name}-{kind}{Path(files[kind]).suffix}"
+            target = images / f"results-{name}-{Path(files[kind]).name}"
             shrink(out / files[kind], target)
             yield f"![{name}: {about}]({IMAGES}/{target.name})"
 

@@ -16,6 +16,7 @@ from terrafuse.models import make_model
 from terrafuse.models.layers import layers_of
 from terrafuse.replica import Replica
 from terrafuse.simulate.mission import film as film_module
+from terrafuse.simulate.mission import reel
 from terrafuse.simulate.mission.engine import Mission
 from terrafuse.simulate.mission.film import Film
 from terrafuse.simulate.mission.growing import GrowingMap
@@ -112,3 +113,9 @@ def test_long_films_are_thinned_out(monkeypatch: pytest.MonkeyPatch, tmp_path: P
     assert times[0] == pytest.approx(0.1)
     assert times[-1] == pytest.approx(2.0)
     assert max(np.diff(times)) <= 0.8 + 1e-9
+
+
+@pytest.mark.parametrize(("cells", "pixels"), [(200, 600), (36, 612), (400, 640), (300, 600), (641, 640), (3000, 640)])
+def test_films_are_about_as_large_whatever_the_world(cells: int, pixels: int) -> None:
+    """3 · 200 = 600 and 17 · 36 = 612 pixels; 400 cells would be 400 pixels, too few, so they are stretched to 640."""
+    assert round(cells * reel.scale_of((cells, cells // 2))) == pixels

@@ -17,7 +17,7 @@ from terrafuse.simulate import truth
 from terrafuse.simulate.mission.engine import Mission
 from terrafuse.simulate.mission.growing import GrowingMap
 from terrafuse.simulate.mission.measures import BAND_M
-from terrafuse.simulate.mission.reel import SIDE, Shot, write_gif
+from terrafuse.simulate.mission.reel import SIDE, Shot, scale_of, write_gif
 from terrafuse.types import Array, Floats
 
 MOST_FRAMES = 150
@@ -48,8 +48,7 @@ class Film:
         self._every_s, self._next_s = mission.scenario.frame_s, 0.0
         self._frames: list[Frame] = []
         self._tracks: list[list[tuple[int, int]]] = [[] for _ in mission.vehicles]
-        side = max(self._map.values.shape)
-        self._pixels_m = max(1, SIDE // side) / math.ceil(side / SIDE) / self._map.pixel_m
+        self._pixels_m = scale_of(self._map.values.shape) / self._map.pixel_m
         self._station = self._pixel(*mission.station_m)
 
     @property

@@ -68,7 +68,8 @@ def _written(mission: Mission, tracks: Mapping[str, Floats], out: Path) -> Itera
     window = views.known_window(seen)
     if window is None:
         return
-    bounds, paths = views.bounds_of(seen, window), robot_paths(seen)
+    bounds, held = views.bounds_of(seen, window), robot_paths(seen)
+    paths = {vehicle.name: held[vehicle.name] for vehicle in mission.vehicles if vehicle.name in held}
     fused = Replica(store=mission.store)
     write_picture(fused, out / MAP, None, bounds, _some(paths), f"{title}: the robots' maps, fused")
     yield "map", MAP

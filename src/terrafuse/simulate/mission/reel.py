@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,8 +20,8 @@ from terrafuse.types import Array, Floats
 if TYPE_CHECKING:
     from PIL.Image import Image as Picture
 
-SIDE = 640
-"""Pixels of the map's longer side, at most; small maps have a whole number of pixels a cell."""
+SIDE, ENOUGH = 640, 480
+"""Pixels of the map's longer side: at most so many, and a whole number a cell where that makes enough of them."""
 LEAST_WIDTH, CAPTION, MARGIN = 360, 32, 10
 """Pixels: room for the caption, its height, and the space before it."""
 FRAME_MS, LAST_MS = 100, 2500
@@ -117,10 +116,18 @@ def _frame(shot: Shot, picture: Picture, shared: Picture, palette: list[int], st
     return out
 
 
+def scale_of(shape: tuple[int, ...]) -> float:
+    """Drawn pixels an element of a map (H, W)."""
+    side = max(shape)
+    whole = SIDE // side
+    return float(whole) if whole * side >= ENOUGH else SIDE / side
+
+
 def _scaled(index: Array) -> Array:
-    """Whole numbers of pixels a cell, or of cells a pixel."""
-    zoom, step = max(1, SIDE // max(index.shape)), math.ceil(max(index.shape) / SIDE)
-    return np.ascontiguousarray(np.repeat(np.repeat(index[::step, ::step], zoom, 0), zoom, 1))
+    """The nearest element at each drawn pixel."""
+    scale = scale_of(index.shape)
+    down, right = ((np.arange(round(scale * side)) / scale).astype(np.int64) for side in index.shape)
+    return np.ascontiguousarray(index[np.ix_(down, right)])
 
 
 def _draw_robots(draw: Any, trails: Sequence[Sequence[tuple[int, int]]], station: tuple[int, int]) -> None:

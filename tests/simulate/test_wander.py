@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from terrafuse.sense.describe import load_sensor
-from terrafuse.simulate import truth
+from terrafuse.simulate import RayCaster, truth
 from terrafuse.simulate.mission.behaviours.avoidance import (
     NARROW_M,
     Echoes,
@@ -17,9 +17,13 @@ from terrafuse.simulate.mission.behaviours.avoidance import (
 )
 from terrafuse.simulate.mission.behaviours.wander import BACK_MPS, Wander, WanderSettings
 from terrafuse.simulate.mission.engine import Mission
+from terrafuse.simulate.mission.fleet import Drive, Fleet, Start
 from terrafuse.simulate.mission.situation import Situation, echoes_of, obstacles_of
+from terrafuse.simulate.mission.surface import Surface
 from terrafuse.simulate.motion import BODIES
+from terrafuse.simulate.movers import NO_BODIES
 from terrafuse.simulate.scenario import load_scenario, with_robots
+from terrafuse.simulate.worlds import hallway as hallway_world
 from terrafuse.types import Pose, pose_of
 
 NOMAD = BODIES["nomad"]
@@ -137,6 +141,23 @@ def test_whims_are_those_of_the_seed():
     assert headings(1) == headings(1)
     assert headings(1) != headings(2)
     assert len(set(headings(1))) > 4  # it does not go one way for ever
+
+
+def test_two_that_drive_into_each_other_stop_apart_and_get_away():
+    world = hallway_world()
+    surface = Surface(world, RayCaster(world))
+    fleet = Fleet([Start("nomad", 10.0, 6.0, 0.0), Start("nomad", 11.03, 6.05, radians(180))], surface, world)
+    for _ in range(20):
+        fleet.step({0: Drive(0.6), 1: Drive(0.6)}, 0.2, NO_BODIES)
+    assert fleet.stopped_by_something(0)
+    assert gap(fleet) >= 2 * NOMAD.radius_m - 5e-3  # rims are looked at every 0.1 m
+    for _ in range(10):
+        fleet.step({0: Drive(-0.2), 1: Drive(-0.2)}, 0.2, NO_BODIES)
+    assert gap(fleet) > 2 * NOMAD.radius_m + 0.5
+
+
+def gap(fleet: Fleet) -> float:
+    return float(np.hypot(*(fleet.position_m(0) - fleet.position_m(1))[:2]))
 
 
 # --- in the hallway --------------------------------------------------------------------------------------------------

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from terrafuse.errors import InputError
 from terrafuse.simulate.mission.surface import Surface
 from terrafuse.simulate.motion import BODIES, Body, Command, Ground, Rotors, State, placed, step
 from terrafuse.simulate.movers import bodies, body
@@ -106,17 +107,47 @@ class Fleet:
 
     def step(self, drives: Mapping[int, Drive], dt_s: float, moving: Array) -> None:
         """All move on by `dt_s`; `moving` (K,) BODY is what else moves. A robot without a drive brakes."""
-        others = self.bodies()
+        others, before = self.bodies(), [group.state for group in self._groups]
         commands = [_command([drives.get(number, Drive()) for number in group.numbers]) for group in self._groups]
         for group, command in zip(self._groups, commands, strict=True):
             if group.motion == KINEMATIC:
                 group.state = step(group.state, command, dt_s, self._ground(group, others, moving), group.kind)
+        self._keep_apart(before)
         if self._physics is not None:
             told = {g.body: command for g, command in zip(self._groups, commands, strict=True) if g.motion == PHYSICS}
             states = self._physics.step(told, dt_s, self._time_s)
             for group in self._groups:
                 group.state = states[group.body] if group.motion == PHYSICS else group.state
         self._time_s += dt_s
+
+    def _keep_apart(self, before: Sequence[State]) -> None:
+        """Each avoided where the others were before the step. Of two that are in each other now, the first goes back to
+        where it was itself: nobody came there."""
+        for number in self._near_others():
+            group, row = self._where[number]
+            if group.motion == KINEMATIC and self._meets(number):
+                was = next(state for one, state in zip(self._groups, before, strict=True) if one is group)
+                group.state = _put_back(group.state, was, row)
+
+    def _near_others(self) -> list[int]:
+        """Robots that may touch another, by their radii."""
+        places = np.array([self.position_m(number)[:2] for number in range(len(self))])
+        radii = np.array([self.kind(number).radius_m for number in range(len(self))])
+        apart = np.hypot(*(places[:, None] - places).transpose(2, 0, 1)) - radii[:, None] - radii
+        np.fill_diagonal(apart, np.inf)
+        return [int(number) for number in np.flatnonzero(apart.min(axis=1) < 0)]
+
+    def _meets(self, number: int) -> bool:
+        """Whether a robot on wheels is where another is."""
+        kind, (x, y, _) = self.kind(number), self.position_m(number).tolist()
+        if isinstance(kind.carriage, Rotors):
+            return False
+        others = [one for other, one in enumerate(self.bodies()) if other != number]
+        try:
+            placed(self._surface.for_wheels([bodies(others)]), kind, [[x, y]], [self.angles_rad(number)[2]])
+        except InputError:
+            return True
+        return False
 
     def _engine(self, world: World) -> Physics | None:
         """One for all robots with physics, which run into each other, too; to those without, they are as air."""
@@ -146,6 +177,15 @@ class Fleet:
         xy = np.array([[starts[number].x_m, starts[number].y_m] for number in numbers])
         yaw = np.array([starts[number].yaw_rad for number in numbers])
         return _Group(name, motion, numbers, placed(ground, kind, xy, yaw))
+
+
+def _put_back(state: State, was: State, row: int) -> State:
+    """With one robot where it was, at rest and stopped."""
+    values = {field.name: getattr(state, field.name).copy() for field in fields(State)}
+    for name, column in values.items():
+        column[row] = getattr(was, name)[row]
+    values["speed_mps"][row], values["yaw_rate_radps"][row], values["blocked"][row] = 0.0, 0.0, True
+    return State(**values)
 
 
 def _command(drives: Sequence[Drive]) -> Command:

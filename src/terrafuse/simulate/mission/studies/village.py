@@ -134,19 +134,21 @@ def fleet_table(loaded: Loaded, counts: Sequence[int] = FLEETS, tell: Callable[[
         ("robots", "seconds", "speed-up", "paper, s", "its speed-up"),
         rows,
         f"Street cells of 5 m that some robot has in its own map, with lidars at {FLEET_HZ:g} Hz, which is often "
-        "enough for these. All start at the station, in the middle. The paper's village is another one.",
+        "enough for these, and the global map at the station alone. All start at the station, in the middle. The paper's village is another one.",
     )
 
 
 def slower(loaded: Loaded) -> Loaded:
-    """The same with sensors that look less often: what is mapped is the same, and takes less time to simulate."""
+    """The same with sensors that look less often, and robots that report to the station alone: what they map hardly
+    differs, and takes less time to simulate."""
     robots = [
         part.model_copy(
             update={"sensors": tuple(sensor.model_copy(update={"rate_hz": FLEET_HZ}) for sensor in part.sensors)}
         )
         for part in loaded.scenario.robots
     ]
-    return replace(loaded, scenario=loaded.scenario.model_copy(update={"robots": tuple(robots)}))
+    radio = loaded.scenario.radio.model_copy(update={"share": "station"})
+    return replace(loaded, scenario=loaded.scenario.model_copy(update={"robots": tuple(robots), "radio": radio}))
 
 
 def mapped_s(loaded: Loaded) -> float | None:

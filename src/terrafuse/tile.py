@@ -40,7 +40,7 @@ class Tile(Protocol):
         """
 
     def surface(self) -> Array:
-        """Every cell, (T²,), as far as the model's `coarsen` looks at it. Read-only: it may be the tile's own memory."""
+        """Every cell, (T²,), as far as the model's `coarsen` looks at it. Read-only: it may be the tile's memory."""
 
     def put(self, at: Array, cells: Array) -> None:
         """Set the cells at these positions: how a tile comes back from a store."""

@@ -85,7 +85,7 @@ robots:
     sensors: [{kind: sonar, description: nomad_200_sonar}]
 map: {model: occupancy, resolution_m: 0.1}
 """
-    with pytest.raises(InputError, match="walls.yaml:7: waypoint .* of r1 can't be reached"):
+    with pytest.raises(InputError, match=r"walls.yaml:7: waypoint .* of r1 can't be reached"):
         Mission(read_scenario(text, "walls.yaml", "walls", Path()), folder=tmp_path)
 
 
@@ -99,5 +99,5 @@ def test_numbers_of_robots_and_other_changes() -> None:
 
 
 def test_an_unknown_scenario_names_those_that_there_are() -> None:
-    with pytest.raises(InputError, match="'vilage': neither a file nor one of .*village"):
+    with pytest.raises(InputError, match=r"'vilage': neither a file nor one of .*village"):
         load_scenario("vilage")

@@ -64,7 +64,7 @@ def waypoints(nodes_m: Floats, nodes: Sequence[int], right_m: float = 0.0) -> Fl
     new = (legs != 0).any(axis=1)
     places, legs = places[np.concatenate([[True], new])], legs[new]
     if not len(legs) or right_m == 0:
-        return places
+        return np.asarray(places)
     ahead = legs / np.sqrt((legs**2).sum(axis=1))[:, None]
     right = np.column_stack([ahead[:, 1], -ahead[:, 0]])
     out = [places[:1] + right_m * right[0]]

@@ -81,7 +81,7 @@ class Timeline:
         """RMSE over building cells of the station's map: of all that it has, the prior's too, and of what was seen."""
         if not self._has_heights or not self._houses.any():
             return {}
-        out = {}
+        out: dict[str, Any] = {}
         for name, replica in (("map", mission.station.replica), ("seen", without_prior(mission.station.replica))):
             layer = layers_of(replica.model)["height"]
             errors = views.mosaic(replica, [layer], self._window)[layer.name] - self._height

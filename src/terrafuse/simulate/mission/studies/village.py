@@ -134,8 +134,8 @@ def fleet_table(loaded: Loaded, counts: Sequence[int] = FLEETS, tell: Callable[[
         ("robots", "seconds", "speed-up", "paper, s", "its speed-up"),
         rows,
         f"Street cells of 5 m that some robot has in its own map, with lidars at {FLEET_HZ:g} Hz, which is often "
-        "enough for these, and the global map at the station alone. All start there, in the middle. The paper's village "
-        "is another one.",
+        "enough for these, and the global map at the station alone. All start there, in the middle. The paper's "
+        "village is another one.",
     )
 
 

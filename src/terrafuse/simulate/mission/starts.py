@@ -20,6 +20,8 @@ from terrafuse.types import Floats
 
 ALONG_M = 2.5
 """Between places along a street."""
+APART_M = 6.0
+"""Robots that start on the streets have so much room: in a crowd they wait for each other."""
 LANE = 0.25
 """Of a street's width, to the right of its middle."""
 
@@ -79,7 +81,10 @@ def _start(
         return start
     for x, y, yaw in _along(world.streets, station, part.spread):
         start = Start(part.body, x, y, yaw, part.motion)
-        if _in_the_way(start, surface, taken) is None:
+        if not world.communications.at(x, y):
+            continue  # it would never hear of its route
+        crowded = any(math.hypot(x - other.x_m, y - other.y_m) < APART_M for other in taken)
+        if not crowded and _in_the_way(start, surface, taken) is None:
             return start
     raise loaded.error(
         ("robots", index), f"no free place on the streets for {part.name}{number + 1}; give 'places', one a robot"

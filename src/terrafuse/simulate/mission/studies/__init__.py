@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from terrafuse.simulate.mission.engine import Mission, Watcher
-from terrafuse.simulate.mission.studies import fleet, hallway, soccer, village
+from terrafuse.simulate.mission.studies import fleet, hallway, parking, soccer, village
 from terrafuse.simulate.mission.tables import Table
 from terrafuse.simulate.mission.timeline import Timeline
 from terrafuse.simulate.scenario import Loaded
@@ -38,6 +38,11 @@ def _village(mission: Mission, timeline: Timeline) -> Study:
     )
 
 
+def _parking(mission: Mission, timeline: Timeline) -> Study:
+    ghosts, drift = parking.Ghosts(mission), parking.Drift(mission)
+    return Study(tables=lambda: [ghosts.table(), drift.table()])
+
+
 def _hallway(mission: Mission, timeline: Timeline) -> Study:
     growth = hallway.Growth(mission)
     return Study(
@@ -60,6 +65,7 @@ STUDIES: dict[str, Callable[[Mission, Timeline], Study]] = {
     "fleet": lambda mission, timeline: Study(timed_tables=lambda: [fleet.cost_table(mission)]),
     "hallway": _hallway,
     "map": lambda mission, timeline: Study(),
+    "parking": _parking,
     "soccer": _soccer,
     "village": _village,
 }

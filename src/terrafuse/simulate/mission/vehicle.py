@@ -6,6 +6,7 @@ The mapper, the contribution, the courier and the replica are those of a real ro
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from time import perf_counter, thread_time
 from typing import Any
@@ -21,7 +22,7 @@ from terrafuse.simulate.mission.localiser import Localiser
 from terrafuse.simulate.mission.senses import Around, Sense
 from terrafuse.simulate.mission.situation import Situation, echoes_of, obstacles_of
 from terrafuse.simulate.sensors.crosstalk import Ping
-from terrafuse.types import Floats, Pose, Stamp
+from terrafuse.types import Floats, Pose, Scan, Stamp
 
 OBSTACLE_REACH_M = 12.0
 
@@ -49,6 +50,8 @@ class Vehicle:
     into it back; but not the first scan, which loads the compiled loops."""
     points: int = 0
     way_m: float = 0.0
+    on_scan: list[Callable[[Scan], object]] = field(default_factory=list)
+    """Called with each scan once it is mapped."""
     _last_m: Floats | None = None
 
     def pings(self, T_world_base: Pose, stamp_ns: Stamp) -> list[Ping]:
@@ -88,6 +91,8 @@ class Vehicle:
         self.points += len(scan.points)
         self.seconds["simulate"] += t1 - t0
         self.seconds["map"] += thread_time() - t1
+        for listen in self.on_scan:
+            listen(scan)
         return obstacles
 
     def _believe(self, fleet: Fleet, believed: Pose) -> None:

@@ -124,7 +124,7 @@ def test_houses_and_walls_follow_the_ground() -> None:
         ),
         (lambda: World("w", Bounds(-9, -9, 9, 9), GROUND, (House(99, 0, 5, 5, 5),)).blocks, "off the terrain"),
         (lambda: Region(1, ((0, 0), (1, 1))), "a region of 2 corners"),
-        (lambda: ros_map_world("nowhere.yaml"), "nowhere.yaml: no such file"),
+        (lambda: ros_map_world("nowhere.yaml"), "nowhere.yaml: can.t be read as text: there is no such file"),
         (lambda: image_world("nowhere.png", 0.1), "nowhere.png: no such file"),
     ],
 )

@@ -64,6 +64,12 @@ class OutputError(InputError):
     """A result can't be written: no space, no permission. What existed before is untouched."""
 
 
+class Interrupted(TerrafuseError):  # noqa: N818, that it is so is the error
+    """The user stopped it, and nothing is left of it."""
+
+    exit_code = 130
+
+
 class NoPath(TerrafuseError):  # noqa: N818, the lack of one is the error
     """No way leads from the start to the goal. `facts["reason"]` is outside, obstacle, too_near or unknown, of the
     `facts["end"]` start or goal; or not_connected. `facts["nearest"]` is the nearest place of which that is not so."""

@@ -57,12 +57,12 @@ def main() -> None:
     """Entry point. Exit code 0 done, 1 failed, 2 wrong use or bad input, 130 interrupted."""
     as_json = "--json" in sys.argv
     try:
-        code = app(standalone_mode=False) or 0
+        code = app(standalone_mode=False) or 0  # the parser makes INTERRUPTED of a KeyboardInterrupt itself
+        code = _interrupted() if code == INTERRUPTED else code
     except TerrafuseError as error:
         code = fail(error, as_json)
     except (KeyboardInterrupt, typer.Abort):
-        code = INTERRUPTED
-        print("interrupted; what was committed is kept, and the same command goes on from there", file=sys.stderr)
+        code = _interrupted()
     except Exception as error:
         if theirs := blamed(error):
             code = fail(theirs, as_json)
@@ -71,6 +71,11 @@ def main() -> None:
         else:
             raise
     sys.exit(code)
+
+
+def _interrupted() -> int:
+    print("interrupted; what was committed is kept, and the same command goes on from there", file=sys.stderr)
+    return INTERRUPTED
 
 
 def _wrong_use(error: Any, as_json: bool) -> int:

@@ -24,7 +24,6 @@ MOVES_MPS = 0.05
 """A robot that is faster moves."""
 DEMO, DEMO_ROBOTS, DEMO_S = "village", 3, 120.0
 REDRAW_S = 0.2
-INTERRUPTED = 130
 
 
 def simulate(
@@ -96,6 +95,7 @@ def demo(
 
 
 def _run(loaded: Loaded, out: Path, **options: Any) -> dict[str, Any]:
+    from terrafuse.errors import Interrupted
     from terrafuse.simulate.mission.results import run
 
     tell_of_compiling()
@@ -103,8 +103,7 @@ def _run(loaded: Loaded, out: Path, **options: Any) -> dict[str, Any]:
         with live(loaded.scenario.duration_s) as watch:
             return run(loaded, out, progress=watch, stage=watch.stage, **options)
     except KeyboardInterrupt:
-        note("interrupted; nothing of this run is kept")
-        raise typer.Exit(INTERRUPTED) from None
+        raise Interrupted("interrupted; nothing of this run is kept") from None
 
 
 def _list(json: bool) -> None:

@@ -35,6 +35,7 @@ SHOWN = {
     "world": "the world",
     "map": "the robots' maps, fused",
     "whole map": "the whole map, with the robots where they say that they are",
+    **{f"map of a{number}": f"what robot a{number} saw itself" for number in (1, 2, 3)},
 }
 INTRO = """# Results
 

@@ -94,7 +94,7 @@ def _image_file(file: Path, about: Document) -> Path:
     except OSError:  # too long a name
         there = False
     if not there:
-        raise about.error(["image"], f"its image {shown(str(image))} is not there; put it there, or correct 'image:'")
+        raise about.error(["image"], f"its image {shown(name)} is not there; put it there, or correct 'image:'")
     return image
 
 

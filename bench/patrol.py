@@ -35,6 +35,7 @@ from terrafuse.kernels import (
 from terrafuse.lattice import Lattice
 from terrafuse.mapper import Mapper
 from terrafuse.models.terrain import Terrain
+from terrafuse.simulate.mission.studies.village import STAGES_OF_PAPER
 from terrafuse.testing.analytic.scene import Lidar, scan
 from terrafuse.tile import opaque
 from terrafuse.types import Array, Pose, Scan
@@ -48,18 +49,7 @@ SHAPE = MODEL.shape(HRM.resolution_m)
 FINE, COARSE = MODEL.rules(HRM.resolution_m), MODEL.rules(HRM.resolution_m * FACTOR)
 ACROSS = math.isqrt(MODEL.subcells)
 
-PAPER_MS = {
-    "collision point list": (55, 55, 70),
-    "heights layer": (5, 5, 5),
-    "gradient estimation": (130, 140, 307),
-    "confidence layer": (82, 60, 70),
-    "occupation layer": (30, 30, 35),
-    "fusion of the 3D laser map with the HRM": (5, 1, 5),
-    "fusion HRM to LLRM": (110, 105, 110),
-    "fusion of the LLRM with the GLRM": (4, 5, 5),
-}
-"""Table 2: three robots, each on a Core i3 of 2.2 GHz, in C#; the paper does not say how many points a scan had."""
-POINT_LIST, HEIGHTS, GRADIENTS, CONFIDENCE, OCCUPATION, INTO_HRM, INTO_LLRM, INTO_GLRM = PAPER_MS
+POINT_LIST, HEIGHTS, GRADIENTS, CONFIDENCE, OCCUPATION, INTO_HRM, INTO_LLRM, INTO_GLRM = STAGES_OF_PAPER
 
 
 class Clock:
@@ -253,14 +243,14 @@ def measure(count: int, rounds: int) -> dict[str, Any]:
                 "terrafuse": round(ours[stage], 3),
                 "NumPy": round(numpys[stage], 2),
                 "ratio": round(numpys[stage] / ours[stage], 1),
-                "paper": list(PAPER_MS[stage]),
+                "paper": list(STAGES_OF_PAPER[stage]),
             }
-            for stage in PAPER_MS
+            for stage in STAGES_OF_PAPER
         },
         "whole scan": {
             "terrafuse": round(total, 2),
             "NumPy": round(total_numpy, 1),
-            "paper": [sum(robot) for robot in zip(*PAPER_MS.values(), strict=True)],
+            "paper": [sum(robot) for robot in zip(*STAGES_OF_PAPER.values(), strict=True)],
         },
         "as the product does it": {
             **{stage: round(ms, 3) for stage, ms in whole.items()},

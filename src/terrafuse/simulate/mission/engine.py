@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from terrafuse.errors import InputError
-from terrafuse.exchange.coarse import CoarseContribution
+from terrafuse.exchange.coarse import CoarseContribution, delta_since
 from terrafuse.exchange.delta import Delta
 from terrafuse.lattice import Lattice, default_tile_m
 from terrafuse.logs.recorder import McapRecorder
@@ -273,6 +273,4 @@ def model_of(loaded: Loaded) -> Any:
 
 def prior_deltas(store: MemoryStore) -> list[Delta]:
     """A memory store's contributions, as deltas for another."""
-    from terrafuse.exchange.coarse import delta_since
-
     return [delta_since(store, robot) for robot in store.robots()]

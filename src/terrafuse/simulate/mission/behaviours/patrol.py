@@ -93,7 +93,12 @@ class Patrol:
             self._forget()
 
     def _reach(self, me: Situation) -> None:
-        while self._goals and np.hypot(*np.subtract(self._goals[0], me.place_m)) < self.settings.arrive_m:
+        """Tick off waypoints that are near; a straight route is followed to its end, wherever it passes."""
+        while (
+            self.settings.planned
+            and self._goals
+            and np.hypot(*np.subtract(self._goals[0], me.place_m)) < self.settings.arrive_m
+        ):
             self._goals.pop(0)
             self.counts["reached"] += 1
             self._forget()
@@ -134,7 +139,6 @@ class Patrol:
         """All of the route at once."""
         self._routes = routes_of([np.vstack([me.place_m, *self._goals])], me.body)
         self._progress = at_start(self._routes)
-        self._goals = self._goals[-1:]
 
     def _way(self, me: Situation, goal: Place) -> Path | None:
         robot = self._robot(me.body)
@@ -165,7 +169,9 @@ class Patrol:
             return Drive()
         command, self._progress = pursue(me.state, self._routes, self._progress, me.body, self.settings.speed_mps)
         if bool(self._progress.arrived[0]):
-            self._goals.pop(0)
+            done = 1 if self.settings.planned else len(self._goals)
+            del self._goals[:done]
+            self.counts["reached"] += done
             self._forget()
             return Drive()
         speed, yaw_rate = float(np.asarray(command.speed_mps)[0]), float(np.asarray(command.yaw_rate_radps)[0])
@@ -185,7 +191,8 @@ class Patrol:
             self._waits_since_s = None
             self._back_until_s = me.now_s + 1.5
             self.counts["detours"] += 1
-            self._forget()
+            if self.settings.planned:
+                self._forget()
         return Drive(0.0, yaw_rate_radps)
 
 

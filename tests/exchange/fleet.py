@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from terrafuse.exchange.coarse import CoarseContribution
-from terrafuse.exchange.courier import Courier, CourierSettings
+from terrafuse.exchange.courier import Channel, Courier, CourierSettings
 from terrafuse.exchange.links import Link
 from terrafuse.lattice import Lattice
 from terrafuse.mapper import Mapper
@@ -19,6 +19,7 @@ LATTICE = Lattice(0.5, 4.0)
 FACTOR = 2
 MODEL = make_model("elevation")
 STATION = "station"
+CHANNEL = "coarse"
 QUICK = CourierSettings(period_s=0.5, answer_s=0.1, retry_s=0.5, longest_retry_s=2.0, message_cells=60)
 
 Join = Callable[[str], Link]
@@ -48,10 +49,8 @@ class Node:
         self.posts = {}
         self.link = link
         self.own = None if self.mapper is None else CoarseContribution(self.mapper, FACTOR)
-        self.courier = Courier(
-            link, self.replica.store, self.own, peers=self.peers, relay=self.relay, on_message=self._heard,
-            settings=self.settings,
-        )  # fmt: skip
+        channel = Channel(CHANNEL, self.replica.store, self.own, self.relay)
+        self.courier = Courier(link, [channel], peers=self.peers, on_message=self._heard, settings=self.settings)
 
     def step(self, now_ns: int, scanning: bool) -> None:
         if self.mapper is not None and self.own is not None:

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from terrafuse.exchange.framing import frames_of
 from terrafuse.exchange.posts import Post, encode_post
-from terrafuse.exchange.summary import State, Summary, pack
+from terrafuse.exchange.summary import VERSION, State, Summary, pack
 
 TOPIC = "post/r1/station"
 POST = Post(born_ns=5_000_000_000, number=2, kind="route", payload=b"\x01\x02")
-HEAD = Summary(born_ns=5_000_000_000, said_ns=6_000_000_000, replica=True, robots=2)
-STATE = State({"r1": 70_000, "r2": 3}, {b"message": [0, 3, 9, 9]}, [b"another"])
+HEAD = Summary(VERSION, born_ns=5_000_000_000, said_ns=6_000_000_000, robots={"fine": 2})
+STATE = State({"fine": {"r1": 70_000, "r2": 3}}, {b"message": [0, 3, 9, 9]}, [b"another"])
 
 
 def golden_frame() -> bytes:
@@ -52,18 +52,18 @@ def summary_parts(message: bytes) -> list[tuple[str, bytes]]:
     """The summary cut as exchange/summary.py describes it."""
     return [
         ("array of 7", message[:1]),
-        ("born_ns", message[1:10]),
-        ("said_ns", message[10:19]),
-        ("replica", message[19:20]),
-        ("robots", message[20:21]),
-        ("held: map of 2", message[21:22]),
-        ("r1, 70000", message[22:30]),
-        ("r2, 3", message[30:34]),
-        ("missing: array of 1: array of 2", message[34:36]),
-        ("an id", message[36:45]),
-        ("parts 0 to 3, and 9", message[45:50]),
-        ("finished: array of 1", message[50:51]),
-        ("an id", message[51:]),
+        ("version", message[1:2]),
+        ("born_ns", message[2:11]),
+        ("said_ns", message[11:20]),
+        ("robots: map of 1: of fine, 2", message[20:27]),
+        ("held: map of 1: of fine, map of 2", message[27:34]),
+        ("r1, 70000", message[34:42]),
+        ("r2, 3", message[42:46]),
+        ("missing: array of 1: array of 2", message[46:48]),
+        ("an id", message[48:57]),
+        ("parts 0 to 3, and 9", message[57:62]),
+        ("finished: array of 1", message[62:63]),
+        ("an id", message[63:]),
     ]
 
 

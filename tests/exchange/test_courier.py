@@ -10,16 +10,29 @@ import pytest
 
 from terrafuse.errors import InputError
 from terrafuse.exchange.codec import encode
-from terrafuse.exchange.courier import Courier, CourierSettings
+from terrafuse.exchange.courier import Channel, Courier, CourierSettings
 from terrafuse.exchange.framing import frames_of
 from terrafuse.exchange.links import Cut, Faults, Frame, Link, MemoryHub, MisbehavingLink
 from terrafuse.exchange.posts import Post, encode_post
-from terrafuse.exchange.summary import State, Summary, pack
+from terrafuse.exchange.summary import VERSION, State, Summary, pack
 from terrafuse.mapper import Mapper
 from terrafuse.replica import Replica
 from terrafuse.testing.deltas import deltas_of, random_scans
 from terrafuse.types import Scan
-from tests.exchange.fleet import FACTOR, LATTICE, MODEL, QUICK, STATION, STEP_NS, agreed, mesh, run, star, undisturbed
+from tests.exchange.fleet import (
+    CHANNEL,
+    FACTOR,
+    LATTICE,
+    MODEL,
+    QUICK,
+    STATION,
+    STEP_NS,
+    agreed,
+    mesh,
+    run,
+    star,
+    undisturbed,
+)
 
 SECOND_NS = 1_000_000_000
 
@@ -82,9 +95,9 @@ def test_who_said_only_part_of_what_it_holds_is_not_sent_all() -> None:
     nodes = star(scans(1, 4), hub.link)
     run({"r1": nodes["r1"]}, 0, 2)
     nodes[STATION].link.close()
-    station, head = hub.link(STATION), Summary(born_ns=1, said_ns=1, replica=True, robots=2)
+    station, head = hub.link(STATION), Summary(VERSION, born_ns=1, said_ns=1, robots={CHANNEL: 2})
     for second, held, expected in ((2, {"r2": 9}, 0), (4, {"r1": 3}, 1)):
-        (message,) = pack(head, State(held), 500)
+        (message,) = pack(head, State({CHANNEL: held}), 500)
         send(station, f"summary/{STATION}", message)
         run({"r1": nodes["r1"]}, second, second + 2)
         assert nodes["r1"].courier.counts["messages_sent.delta"] == expected
@@ -93,7 +106,7 @@ def test_who_said_only_part_of_what_it_holds_is_not_sent_all() -> None:
 def test_a_message_for_several_peers_is_sent_once() -> None:
     """The station passes on to three robots what it alone hears of the fourth."""
     hub = MemoryHub(600)
-    nodes = star([[], [], [], random_scans(4, 12, 8.0, 20)], lambda name: Deaf(hub.link(name), "delta/r4/r4"))
+    nodes = star([[], [], [], random_scans(4, 12, 8.0, 20)], lambda name: Deaf(hub.link(name), "delta/coarse/r4/r4"))
     nodes[STATION].link.deaf_to = ""  # type: ignore[attr-defined]
     run(nodes, 0, 10)
     assert agreed(nodes)
@@ -228,7 +241,7 @@ def test_parts_that_lack_are_asked_for() -> None:
     run(nodes, 1, 120, until=lambda: agreed(nodes))
     assert agreed(nodes)
     counts = nodes["r1"].courier.counts
-    frames = len(frames_of("delta/r1/r1", encode(nodes["r1"].own.delta()), 80))
+    frames = len(frames_of("delta/coarse/r1/r1", encode(nodes["r1"].own.delta()), 80))
     assert frames > 40
     # 1/(1 - 0.3) of it in the mean; all of it again and again would be four times as much.
     assert counts["frames_sent.delta"] < 2 * frames
@@ -325,7 +338,7 @@ def listening(**options: object) -> tuple[Courier, Link, Replica]:
     """A station with r1 and what it holds, and the link of somebody else."""
     hub = MemoryHub(200)
     replica = Replica(LATTICE, MODEL)
-    return Courier(hub.link(STATION), replica.store, **options), hub.link("r1"), replica  # type: ignore[arg-type]
+    return Courier(hub.link(STATION), [Channel(CHANNEL, replica.store)], **options), hub.link("r1"), replica  # type: ignore[arg-type]
 
 
 def send(link: Link, topic: str, message: bytes) -> None:
@@ -336,11 +349,11 @@ def send(link: Link, topic: str, message: bytes) -> None:
 def test_what_leaves_a_gap_is_refused_until_the_gap_is_closed() -> None:
     station, link, replica = listening()
     first, second = deltas_of("r1", random_scans(1, 4), LATTICE, MODEL, every=2)
-    send(link, "delta/r1/r1", encode(second))
+    send(link, "delta/coarse/r1/r1", encode(second))
     station.tick(0)
     assert (station.counts["refused.gap"], replica.store.robots()) == (1, [])
     for delta in (first, second, second):
-        send(link, "delta/r1/r1", encode(delta))
+        send(link, "delta/coarse/r1/r1", encode(delta))
     station.tick(STEP_NS)
     assert station.counts["deltas_applied"] == 2
     assert replica.store.revision("r1") == 4
@@ -351,7 +364,7 @@ def test_what_does_not_belong_here_is_refused() -> None:
     station, link, replica = listening(on_message=lambda *message: heard.append(message))
     (alien,) = deltas_of("r1", random_scans(1, 1), LATTICE.coarser(2), MODEL)
     bad = {
-        "delta/r1/r1": [encode(alien), b"", b"TFD", encode(alien)[:-1]],
+        "delta/coarse/r1/r1": [encode(alien), b"", b"TFD", encode(alien)[:-1]],
         "summary/r1": [b"", b"\x97", b"no summary"],
         f"post/{STATION}/r1": [b"", b"\x94", encode_post(Post(0, 1, "x", b""))[:-1]],
     }
@@ -373,7 +386,8 @@ def test_what_does_not_belong_here_is_refused() -> None:
 def test_a_node_without_a_replica_only_reports() -> None:
     hub = MemoryHub(600)
     nodes = star(scans(2), hub.link)
-    nodes["r1"].courier = Courier(_rejoined(nodes["r1"], hub), None, nodes["r1"].own, peers=[STATION], settings=QUICK)
+    channel = Channel(CHANNEL, own=nodes["r1"].own)
+    nodes["r1"].courier = Courier(_rejoined(nodes["r1"], hub), [channel], peers=[STATION], settings=QUICK)
     run(nodes, 0, 8)
     station = nodes[STATION]
     assert station.replica.digest() == undisturbed(nodes).digest() == nodes["r2"].replica.digest()
@@ -389,7 +403,7 @@ def _rejoined(node, hub: MemoryHub) -> Link:  # type: ignore[no-untyped-def]
 def test_who_can_not_take_part() -> None:
     hub = MemoryHub(600)
     with pytest.raises(InputError, match="can't report as 'r1'"):
-        Courier(hub.link("r2"), None, Mapper("r1", LATTICE, MODEL))
+        Courier(hub.link("r2"), [Channel(CHANNEL, own=Mapper("r1", LATTICE, MODEL))])
     with pytest.raises(InputError, match="without slashes"):
         Courier(hub.link("fleet/r3"))
     with pytest.raises(InputError, match="needs 64 at least"):

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from contextlib import suppress
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from terrafuse.errors import CodecError
 from terrafuse.exchange.posts import MOST_KINDS, Inbox, Post, decode_post, encode_post
-from terrafuse.exchange.summary import MOST_GAPS, State, Summary, pack, unpack
+from terrafuse.exchange.summary import MOST_GAPS, VERSION, OtherVersion, State, Summary, pack, unpack
 from tests.exchange.make_golden_exchange import HEAD, POST, STATE, golden_summary, post_parts, summary_parts
 
 GOLDEN_POST = bytes.fromhex(
@@ -28,16 +29,16 @@ GOLDEN_POST = bytes.fromhex(
 GOLDEN_SUMMARY = bytes.fromhex(
     # array of 7
     "97"
+    # version
+    "02"
     # born_ns
     "cf000000012a05f200"
     # said_ns
     "cf0000000165a0bc00"
-    # replica
-    "c3"
-    # robots
-    "02"
-    # held: map of 2
-    "82"
+    # robots: map of 1: of fine, 2
+    "81a466696e6502"
+    # held: map of 1: of fine, map of 2
+    "81a466696e6582"
     # r1, 70000
     "a27231ce00011170"
     # r2, 3
@@ -66,32 +67,46 @@ def test_golden_bytes() -> None:
     assert b"".join(part for _, part in summary_parts(GOLDEN_SUMMARY)) == GOLDEN_SUMMARY
     whole = unpack(GOLDEN_SUMMARY)
     assert (whole.held, dict(whole.missing), whole.finished) == (STATE.held, STATE.missing, STATE.finished)
-    assert (whole.born_ns, whole.said_ns, whole.replica, whole.robots) == (5 * 10**9, 6 * 10**9, True, 2)
+    assert (whole.version, whole.born_ns, whole.said_ns, whole.robots) == (2, 5 * 10**9, 6 * 10**9, {"fine": 2})
 
 
 @given(
-    held=st.dictionaries(st.text(min_size=1, max_size=30), st.integers(0, 2**32 - 1), max_size=60),
+    held=st.dictionaries(
+        st.sampled_from(["fine", "coarse"]),
+        st.dictionaries(st.text(min_size=1, max_size=30), st.integers(0, 2**32 - 1), min_size=1, max_size=60),
+    ),
     missing=st.dictionaries(IDS, st.lists(st.integers(0, 2**16 - 1), max_size=10), max_size=10),
     finished=st.lists(IDS, unique=True, max_size=20),
     room=st.integers(170, 400),
 )
 def test_messages_of_a_summary_fit_and_hold_all_of_it(
-    held: dict[str, int], missing: dict[bytes, list[int]], finished: list[bytes], room: int
+    held: dict[str, dict[str, int]], missing: dict[bytes, list[int]], finished: list[bytes], room: int
 ) -> None:
-    messages = pack(HEAD, State(held, missing, finished), room)
+    head = Summary(VERSION, 2**60, 2**60, {"fine": 2**16, "coarse": 2**16})
+    messages = pack(head, State(held, missing, finished), room)
     assert all(len(message) <= room for message in messages)
     parts = [unpack(message) for message in messages]
-    assert {robot: revision for part in parts for robot, revision in part.held.items()} == held
+    said: dict[str, dict[str, int]] = {}
+    for part in parts:
+        for channel, some in part.held.items():
+            said.setdefault(channel, {}).update(some)
+    assert said == held
     assert {id_: gaps for part in parts for id_, gaps in part.missing} == missing
     assert [id_ for part in parts for id_ in part.finished] == finished
-    assert {(part.born_ns, part.said_ns, part.replica, part.robots) for part in parts} == {
-        (HEAD.born_ns, HEAD.said_ns, HEAD.replica, HEAD.robots)
-    }
+    assert all((part.born_ns, part.said_ns, part.robots) == (2**60, 2**60, head.robots) for part in parts)
 
 
 def test_a_summary_asks_for_so_many_gaps_at_most() -> None:
     (message,) = pack(HEAD, State(missing={b"message": list(range(1000))}), 1000)
     assert unpack(message).missing == [(b"message", list(range(MOST_GAPS)))]
+
+
+@given(version=st.integers(0, 2**16 - 1), rest=st.lists(st.integers(-(2**63), 2**64 - 1) | st.text(), max_size=8))
+def test_of_another_version_only_that_is_read(version: int, rest: list[object]) -> None:
+    if version == VERSION:
+        version = 1
+    with pytest.raises(OtherVersion, match=f"version {version}; this terrafuse speaks version {VERSION}"):
+        unpack(msgspec.msgpack.encode([version, *rest]))
 
 
 @given(st.binary(max_size=60))

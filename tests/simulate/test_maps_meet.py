@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import pytest
 
 from terrafuse.exchange.coarse import CoarseContribution
-from terrafuse.exchange.courier import Courier, CourierSettings
+from terrafuse.exchange.courier import Channel, Courier, CourierSettings
 from terrafuse.exchange.links import Faults
 from terrafuse.lattice import Lattice
 from terrafuse.mapper import Mapper
@@ -45,12 +45,17 @@ class Node:
 def robot(link: RadioLink, model: Model) -> Node:
     mapper, replica = Mapper(link.node, LATTICE, model), Replica(LATTICE.coarser(FACTOR), model)
     own = CoarseContribution(mapper, FACTOR)
-    return Node(replica, Courier(link, replica.store, own, peers=["station"], settings=SETTINGS), mapper, own)
+    return Node(
+        replica,
+        Courier(link, [Channel("coarse", replica.store, own)], peers=["station"], settings=SETTINGS),
+        mapper,
+        own,
+    )
 
 
 def station(link: RadioLink, model: Model) -> Node:
     replica = Replica(LATTICE.coarser(FACTOR), model)
-    return Node(replica, Courier(link, replica.store, relay=True, settings=SETTINGS))
+    return Node(replica, Courier(link, [Channel("coarse", replica.store, relay=True)], settings=SETTINGS))
 
 
 @pytest.mark.parametrize("model_name", ["elevation", "occupancy"])

@@ -44,6 +44,10 @@ class Outbox:
         self._allowed = 0.0
         self._now_ns: int | None = None
 
+    @property
+    def max_frame_bytes(self) -> int:
+        return self._link.max_frame_bytes
+
     def put(self, message: Outgoing, parts: Iterable[int] | None = None) -> None:
         """Send these parts of a message, or all; what waits already, waits once."""
         waiting = self._bulk if message.kind == "delta" else self._small

@@ -38,6 +38,21 @@ class Posted:
 
 
 @dataclass
+class PeerChannel:
+    """What a peer said of a channel into which it takes contributions."""
+
+    robots: int = 0
+    held: dict[str, int] = field(default_factory=dict)
+    flights: dict[str, DeltaFlight] = field(default_factory=dict)
+    """By robot."""
+
+    @property
+    def served(self) -> bool:
+        """Whether it said all of what it holds."""
+        return len(self.held) >= self.robots
+
+
+@dataclass
 class Peer:
     """What a peer said of itself, and what is under way to it."""
 
@@ -45,22 +60,21 @@ class Peer:
     born_ns: int = -1
     said_ns: int = -1
     heard_ns: int = -(1 << 62)
-    replica: bool = False
-    robots: int = 0
-    held: dict[str, int] = field(default_factory=dict)
+    channels: dict[str, PeerChannel] = field(default_factory=dict)
     missing: dict[bytes, list[int]] = field(default_factory=dict)
-    flights: dict[str, DeltaFlight] = field(default_factory=dict)
-    """By robot."""
     posts: dict[str, Posted] = field(default_factory=dict)
     """By kind."""
 
-    @property
-    def served(self) -> bool:
-        """Whether it takes contributions, and said all of what it holds."""
-        return self.replica and len(self.held) >= self.robots
-
     def reborn(self, born_ns: int) -> None:
         self.born_ns, self.said_ns = born_ns, -1
-        self.held, self.missing, self.flights = {}, {}, {}
+        self.channels, self.missing = {}, {}
         for post in self.posts.values():
             post.flight, post.arrived = None, False
+
+
+def parts_of(message: Outgoing, peer: Peer) -> list[int] | None:
+    """The parts of a message that a peer says it lacks, as far as there are such; None: it says nothing of it."""
+    if (gaps := peer.missing.get(message.id)) is None:
+        return None
+    pairs = zip(gaps[::2], gaps[1::2], strict=False)
+    return [part for first, last in pairs for part in range(max(first, 0), min(last + 1, len(message.frames)))]

@@ -2,12 +2,13 @@
 
 A message is msgpack, an array of
 
+    version     int, of the protocol; messages of another one are refused, and say no more than this
     born_ns     int, when this life of the node began: an older life's summaries no longer count
     said_ns     int, when it was said; messages of one summary have the same
-    replica     bool, whether the node takes contributions
-    robots      int, of how many robots it holds something: who did not hear of so many can't know what it lacks
-    held        map of robot to revision: it lacks nothing that this robot last changed up to then; robots that are not
-                among them are as they were said before
+    robots      map of channel to int: into these the node takes contributions, and it holds something of so many
+                robots; who did not hear of so many can't know what it lacks
+    held        map of channel to a map of robot to revision: it lacks nothing that this robot last changed up to then;
+                robots that are not among them are as they were said before
     missing     array of [id, [first, last, first, last, ...]]: parts that lack of messages that arrived in part
     finished    array of ids: posts that arrived since the last summary
 """
@@ -16,38 +17,50 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import msgspec
 
 from terrafuse.errors import CodecError
 
+VERSION = 2
+"""Of the protocol."""
 MOST_GAPS = 64
 """Of one message, in a summary; parts beyond are asked for once these came."""
-FIXED_BYTES = 42
-"""Of a message without entries, at most."""
+FIXED_BYTES = 36
+"""Of a message without entries, beside the names of its channels, at most."""
+
+
+class OtherVersion(CodecError):  # noqa: N818, that it is so is the error
+    """A node speaks another protocol."""
+
+    def __init__(self, version: int) -> None:
+        super().__init__(f"protocol version {version}; this terrafuse speaks version {VERSION}")
+        self.version = version
 
 
 class Summary(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
     """One message of a summary; fields as in the module's text."""
 
+    version: int
     born_ns: int
     said_ns: int
-    replica: bool
-    robots: int
-    held: dict[str, int] = {}
+    robots: dict[str, int]
+    held: dict[str, dict[str, int]] = {}
     missing: list[tuple[bytes, list[int]]] = []
     finished: list[bytes] = []
 
 
 _encode = msgspec.msgpack.Encoder().encode
 _decode = msgspec.msgpack.Decoder(Summary).decode
+_decode_any = msgspec.msgpack.Decoder(list[Any]).decode
 
 
 @dataclass
 class State:
     """What a summary tells."""
 
-    held: Mapping[str, int] = field(default_factory=dict)
+    held: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     missing: Mapping[bytes, list[int]] = field(default_factory=dict)
     finished: Iterable[bytes] = ()
 
@@ -55,14 +68,15 @@ class State:
 def pack(head: Summary, state: State, room: int) -> list[bytes]:
     """The summary as messages of at most `room` bytes, unless one entry alone takes more; at least one message."""
     messages = [_begun(head)]
-    left = room - FIXED_BYTES
+    # Each channel's name twice, its number of robots, and the head of its map.
+    empty = left = room - FIXED_BYTES - sum(2 * len(_encode(name)) + 8 for name in head.robots)
 
     def at_hand(entry: object) -> Summary:
         nonlocal left
         size = len(_encode(entry))
-        if size > left and left < room - FIXED_BYTES:
+        if size > left and left < empty:
             messages.append(_begun(head))
-            left = room - FIXED_BYTES
+            left = empty
         left -= size
         return messages[-1]
 
@@ -70,18 +84,36 @@ def pack(head: Summary, state: State, room: int) -> list[bytes]:
         at_hand(id_).finished.append(id_)
     for id_, gaps in state.missing.items():
         at_hand((id_, gaps[:MOST_GAPS])).missing.append((id_, gaps[:MOST_GAPS]))
-    for robot, revision in state.held.items():
-        at_hand((robot, revision)).held[robot] = revision
+    for channel, held in state.held.items():
+        for robot, revision in held.items():
+            at_hand((robot, revision)).held.setdefault(channel, {})[robot] = revision
     return [_encode(message) for message in messages]
 
 
 def _begun(head: Summary) -> Summary:
-    return Summary(head.born_ns, head.said_ns, head.replica, head.robots, {}, [], [])
+    return Summary(head.version, head.born_ns, head.said_ns, head.robots, {}, [], [])
 
 
 def unpack(message: bytes) -> Summary:
-    """Bytes → summary. Raises CodecError for anything else."""
+    """Bytes → summary. Raises OtherVersion for one of another protocol, CodecError for anything else."""
     try:
-        return _decode(message)
+        return _checked(_decode(message))
     except (msgspec.DecodeError, msgspec.ValidationError) as error:
+        _refuse_other_version(message)
         raise CodecError(f"a summary that can't be read: {error}") from error
+
+
+def _checked(summary: Summary) -> Summary:
+    if summary.version != VERSION:
+        raise OtherVersion(summary.version)
+    return summary
+
+
+def _refuse_other_version(message: bytes) -> None:
+    """Later protocols may say what they like after their version."""
+    try:
+        version, *_ = _decode_any(message)
+    except (msgspec.DecodeError, msgspec.ValidationError, ValueError):
+        return
+    if type(version) is int and version != VERSION and 0 <= version < 1 << 16:
+        raise OtherVersion(version)

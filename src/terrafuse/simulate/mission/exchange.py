@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from terrafuse.exchange.coarse import CoarseContribution
-from terrafuse.exchange.courier import Courier, CourierSettings
+from terrafuse.exchange.courier import Channel, Courier, CourierSettings
 from terrafuse.exchange.delta import Delta
 from terrafuse.exchange.links import Faults
 from terrafuse.lattice import Lattice
@@ -23,6 +23,8 @@ from terrafuse.simulate.scenario.model import RadioPart
 from terrafuse.simulate.world import World
 
 STATION = "station"
+GLOBAL = "coarse"
+"""The channel: a scenario's robots exchange their maps at the global level only."""
 PLACE = "place"
 """A robot's word of where it is: [east, north]."""
 ANTENNA_M = 1.0
@@ -40,10 +42,9 @@ class Node:
         self.reports = 0
         if prior is not None and self.replica is not None:
             self.replica.apply(prior)
-        self._courier = Courier(
-            link, self.replica.store if self.replica else None, self.own, peers=[STATION], on_message=self._heard,
-            settings=CourierSettings(period_s=radio.report_s),
-        )  # fmt: skip
+        channel = Channel(GLOBAL, self.replica.store if self.replica else None, self.own)
+        settings = CourierSettings(period_s=radio.report_s)
+        self._courier = Courier(link, [channel], peers=[STATION], on_message=self._heard, settings=settings)
         self._report_ns, self._next_ns = round(radio.report_s * 1e9), 0
         self._place_ns = None if radio.place_s is None else round(radio.place_s * 1e9)
         self._next_place_ns = 0
@@ -81,10 +82,9 @@ class Station:
         """Where robots said that they are, last."""
         if prior is not None:
             self.replica.apply(prior)
-        relays, settings = radio.share == "all", CourierSettings(period_s=radio.report_s)
-        self._courier = Courier(
-            link, self.replica.store, relay=relays, on_message=self._heard, settings=settings
-        )  # fmt: skip
+        channel = Channel(GLOBAL, self.replica.store, relay=radio.share == "all")
+        settings = CourierSettings(period_s=radio.report_s)
+        self._courier = Courier(link, [channel], on_message=self._heard, settings=settings)
 
     def order(self, robot: str, kind: str, value: Any) -> None:
         self._courier.post(robot, kind, json.dumps(value, separators=(",", ":")).encode())

@@ -1,0 +1,47 @@
+"""Frames that wait for the thread that sends them."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+
+from terrafuse.exchange.links.base import Frame
+
+
+class SendQueue:
+    """First in, first out, with room for so many bytes; of two threads, one adds and one takes."""
+
+    def __init__(self, most_bytes: int) -> None:
+        self._most_bytes = most_bytes
+        self._waiting: deque[Frame] = deque()
+        self._bytes = 0
+        self._changed = threading.Condition()
+
+    def add(self, frame: Frame) -> bool:
+        """Whether there was room. There always is for one frame."""
+        with self._changed:
+            if self._waiting and self._bytes + len(frame.payload) > self._most_bytes:
+                return False
+            self._waiting.append(frame)
+            self._bytes += len(frame.payload)
+            self._changed.notify()
+            return True
+
+    def take(self, wait_s: float) -> Frame | None:
+        """The oldest; None if there is none within `wait_s`."""
+        with self._changed:
+            if not self._waiting:
+                self._changed.wait(wait_s)
+            if not self._waiting:
+                return None
+            frame = self._waiting.popleft()
+            self._bytes -= len(frame.payload)
+            return frame
+
+    def clear(self) -> int:
+        """Drop all; how many."""
+        with self._changed:
+            dropped = len(self._waiting)
+            self._waiting.clear()
+            self._bytes = 0
+            return dropped

@@ -1,0 +1,348 @@
+"""Links over Zenoh: nodes of many processes and hosts, over TCP or TLS.
+
+    link = ZenohLink("r4", Transport(connect="tls/192.168.1.10:7447", keys="fleet/nodes/r4"))
+
+What goes out waits in a bounded queue for a thread of the link's own, since Zenoh's `put` can block for as long as a
+receiver is slow, whatever it was told. The same thread connects: it tries again until somebody answers, and says once
+what is in the way. A connection that is lost later comes back by itself; meanwhile frames are dropped and counted, and
+what lacks is asked for by the exchange.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from terrafuse.errors import InputError, MissingExtra, TerrafuseError
+from terrafuse.exchange.links.base import Frame, check_frame, check_topic, closed, covers
+from terrafuse.exchange.links.presence import Presence
+from terrafuse.exchange.links.reach import diagnosis, listen_trouble
+from terrafuse.exchange.links.sending import SendQueue
+from terrafuse.exchange.links.topics import ROOT, key_of, topic_of
+from terrafuse.exchange.links.transport import Transport, addresses, zenoh_settings
+
+if TYPE_CHECKING:
+    from terrafuse.keys.identity import Identity
+
+FIRST_S = 5.0
+"""How long a new link waits for its first attempt to connect to end, so that it can say what is wrong."""
+PAUSE_S, LONGEST_PAUSE_S = 0.2, 2.0
+LOOK_S = 0.2
+"""How often the thread looks whether anything is to be done that nobody tells it of."""
+CLOSE_S = 2.0
+NO_WORD_S = 1.0
+"""A lost connection is spoken of when it has not come back by then."""
+
+
+class ZenohLink:
+    """A link of Transport's making. Raises InputError where it can't listen, for settings and keys that can't be used,
+    and for a name that another node has.
+
+    If nobody answers where it connects, it goes on trying. `trouble` is what is in the way, None when all is well;
+    `tell` is called with it, once each time, by the link's thread. Another node of this name may also be met later:
+    then `send` and `receive` raise.
+
+    `counts`: frames_sent, frames_received, bytes_sent, bytes_received; `dropped.unconnected`, `dropped.queue` (more
+    waited than `queue_bytes`), `dropped.inbox` (more than `inbox_bytes`); connections.
+    """
+
+    def __init__(self, node: str, transport: Transport, tell: Callable[[str], None] = lambda text: None) -> None:
+        check_topic(node)
+        if "/" in node:
+            raise InputError(f"node '{node}': a name has no slash")
+        self._zenoh = _library()
+        self.node, self.transport = node, transport
+        self.max_frame_bytes = transport.max_frame_bytes
+        self.counts: Counter[str] = Counter()
+        self.trouble: str | None = None
+        self._tell = tell
+        self._listens, self._connects = addresses(transport)
+        self._identity = _identity(node, transport)
+        self._presence = Presence(node, self._meet_namesake)
+        self._topics: dict[str, Any] = {}
+        """Listened to; Zenoh's subscriber of each, once there is a session."""
+        self._arrived: deque[Frame] = deque()
+        self._arrived_bytes = 0
+        self._queue = SendQueue(transport.queue_bytes)
+        self._session: Any = None
+        self._links: dict[str, bool] = {}
+        """Who is on the other side of each connection, and whether that is a router."""
+        self._linked_s = 0.0
+        self._met = threading.Event()
+        self._refused: TerrafuseError | None = None
+        self._closing = threading.Event()
+        self._tried = threading.Event()
+        self._lock = threading.RLock()
+        """Held by who changes the session or what is declared on it."""
+        self._inbox_lock = threading.Lock()
+        self._thread = threading.Thread(target=self._run, name=f"link of {node}", daemon=True)
+        self._thread.start()
+        self._tried.wait(FIRST_S)
+        if self._refused is not None:
+            self.close()
+            raise self._refused
+
+    @property
+    def connected(self) -> bool:
+        """Whether there is anybody on the other side."""
+        return bool(self._links)
+
+    @property
+    def _alone(self) -> bool:
+        """Whether none of the addresses to connect to has been reached."""
+        return bool(self._connects) and not any(self._links.values())
+
+    def nodes(self) -> list[str]:
+        """The other nodes that are there, sorted, as far as a connection leads to them: none while there is none. One
+        that was killed leaves at once, one whose connection hangs after `hung_s`."""
+        return self._presence.nodes()
+
+    def listen(self, topic: str) -> None:
+        check_topic(topic)
+        with self._lock:
+            if any(covers(own, topic) for own in self._topics):
+                return
+            for below in [own for own in self._topics if covers(topic, own)]:
+                _undeclare(self._topics.pop(below))
+            self._topics[topic] = None if self._session is None else self._subscribe(self._session, topic)
+
+    def send(self, topic: str, payload: bytes, now_ns: int) -> None:
+        check_frame(self, topic, payload)
+        self._check_open(topic)
+        if not self.connected:
+            self.counts["dropped.unconnected"] += 1
+        elif not self._queue.add(Frame(topic, payload)):
+            self.counts["dropped.queue"] += 1
+
+    def receive(self, now_ns: int) -> list[Frame]:
+        if self._refused is not None:
+            raise self._refused
+        frames = [self._arrived.popleft() for _ in range(len(self._arrived))]
+        size = sum(len(frame.payload) for frame in frames)
+        with self._inbox_lock:
+            self._arrived_bytes -= size
+        return frames
+
+    def close(self) -> None:
+        """Leave, within two seconds. What waits to be sent is lost."""
+        self._closing.set()
+        self._queue.clear()
+        self._end_session()
+        if self._thread is not threading.current_thread():
+            self._thread.join(CLOSE_S)
+        self._arrived.clear()
+
+    def _check_open(self, topic: str) -> None:
+        if self._refused is not None:
+            raise self._refused
+        if self._closing.is_set():
+            raise closed(self, topic)
+
+    # --- the link's thread --------------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        pause_s, silent_s = PAUSE_S, 0.0
+        while not self._closing.is_set():
+            if self._session is None:
+                if self._open():
+                    pause_s = PAUSE_S
+                else:
+                    self._closing.wait(pause_s)
+                    pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+                continue
+            frame = self._queue.take(LOOK_S)
+            if frame is not None:
+                self._put(frame)
+                continue
+            silent_s = silent_s + LOOK_S if self._alone else 0.0
+            self._look(silent_s)
+
+    def _open(self) -> bool:
+        """One attempt; whether there is a session now."""
+        try:
+            session = self._zenoh.open(self._config())
+        except self._zenoh.ZError as error:
+            self._not_opened(str(error))
+            return False
+        with self._lock:
+            if self._closing.is_set():
+                session.close()
+                return False
+            self._declare(session)
+        self._check_name()
+        if not self._alone:
+            self._well()
+        self._tried.set()
+        return True
+
+    def _config(self) -> Any:
+        tls, access = (None, None) if self._identity is None else (self._identity.tls, self._identity.access)
+        config = self._zenoh.Config()
+        for path, value in zenoh_settings(self.transport, tls, access if self._listens else None).items():
+            config.insert_json5(path, json.dumps(value))
+        return config
+
+    def _not_opened(self, error: str) -> None:
+        trouble = listen_trouble(self._listens, error) if self._listens else self._diagnosis()
+        if self._listens and not self._tried.is_set():
+            self._refuse(InputError(trouble))
+        else:
+            self._say(trouble)
+        self._tried.set()
+
+    def _declare(self, session: Any) -> None:
+        watch = self._zenoh.handlers.Callback(self._linked, indirect=False)
+        session.info.declare_transport_events_listener(watch, history=True)
+        self._presence.join(session)
+        for topic in self._topics:
+            self._topics[topic] = self._subscribe(session, topic)
+        self._session = session
+
+    def _subscribe(self, session: Any, topic: str) -> Any:
+        take = self._zenoh.handlers.Callback(self._arrive, indirect=False)
+        return session.declare_subscriber(
+            f"{ROOT}/{key_of(topic)}/**", take, allowed_origin=self._zenoh.Locality.REMOTE
+        )
+
+    def _end_session(self) -> None:
+        with self._lock:
+            session, self._session = self._session, None
+            self._topics = dict.fromkeys(self._topics)
+        self._links = {}
+        self._presence.lost()
+        if session is not None:
+            session.close()
+
+    def _put(self, frame: Frame) -> None:
+        session = self._session
+        if session is None or not self.connected:
+            self.counts["dropped.unconnected"] += 1
+            return
+        try:
+            session.put(
+                f"{ROOT}/{key_of(frame.topic)}",
+                frame.payload,
+                congestion_control=self._zenoh.CongestionControl.DROP,
+                allowed_destination=self._zenoh.Locality.REMOTE,
+            )
+        except self._zenoh.ZError:  # closed meanwhile
+            self.counts["dropped.unconnected"] += 1
+            return
+        self.counts["frames_sent"] += 1
+        self.counts["bytes_sent"] += len(frame.payload)
+
+    def _look(self, silent_s: float) -> None:
+        """What nobody tells the thread of: rules that changed, a namesake, a connection that does not come back."""
+        if self._met.is_set():
+            self._met.clear()
+            self._check_name()
+        if self._listens and self._identity is not None and self._identity.changed():
+            self._renew()
+        if self._shut_out():
+            self._say(
+                f"connected, but nobody lets '{self.node}' hear or say anything: it was revoked, or the station does "
+                "not know it yet; bring the fleet's fleet.json to the folder of the station's keys"
+            )
+        elif not self._alone:
+            self._well()
+        elif silent_s > NO_WORD_S and self.trouble is None:
+            self._say(self._diagnosis())
+
+    def _shut_out(self) -> bool:
+        """Whether there is a connection, for long enough, and still no sign even of who is at its other end."""
+        long_since = time.monotonic() - self._linked_s > NO_WORD_S
+        return self._identity is not None and not self._alone and long_since and not self.nodes()
+
+    def _renew(self) -> None:
+        """Rules can't be changed on a session; a new one has them, and the others are back within a second."""
+        try:
+            self._identity = _identity(self.node, self.transport)
+        except TerrafuseError as error:
+            self._say(f"{error}; the rules of before stay")
+        else:
+            self._end_session()
+
+    def _check_name(self) -> None:
+        session = self._session
+        if session is None or self._presence.namesake(session) is None:
+            return
+        self._refuse(
+            InputError(
+                f"there is a node '{self.node}' already, and it answers; names must differ: give this one another, "
+                "or stop the other"
+            )
+        )
+
+    def _refuse(self, error: TerrafuseError) -> None:
+        """The end of this link; said by whatever it is asked for next."""
+        self._refused, self.trouble = error, str(error)
+        self._closing.set()
+        self._end_session()
+        self._tried.set()
+
+    def _diagnosis(self) -> str:
+        return "; ".join(diagnosis(each, self._identity) for each in self._connects)
+
+    def _say(self, trouble: str) -> None:
+        if trouble != self.trouble:
+            self.trouble = trouble
+            self._tell(f"{trouble}; trying again until it works")
+
+    def _well(self) -> None:
+        if self.trouble is not None:
+            self.trouble = None
+            self._tell("connected")
+
+    # --- Zenoh's threads ----------------------------------------------------------------------------------------------
+
+    def _linked(self, event: Any) -> None:
+        other = str(event.transport.zid)
+        if str(event.kind) == "SampleKind.PUT":
+            self._links = self._links | {other: event.transport.whatami == self._zenoh.WhatAmI.ROUTER}
+            self.counts["connections"] += 1
+            self._linked_s = time.monotonic()
+        else:
+            self._links = {zid: router for zid, router in self._links.items() if zid != other}
+
+    def _meet_namesake(self) -> None:
+        self._met.set()
+
+    def _arrive(self, sample: Any) -> None:
+        frame = Frame(topic_of(str(sample.key_expr).removeprefix(f"{ROOT}/")), sample.payload.to_bytes())
+        with self._inbox_lock:
+            if self._closing.is_set():
+                return
+            if self._arrived_bytes + len(frame.payload) > self.transport.inbox_bytes:
+                self.counts["dropped.inbox"] += 1
+                return
+            self._arrived_bytes += len(frame.payload)
+            self._arrived.append(frame)
+        self.counts["frames_received"] += 1
+        self.counts["bytes_received"] += len(frame.payload)
+
+
+def _library() -> Any:
+    try:
+        import zenoh
+    except ImportError as error:
+        raise MissingExtra("a network of processes", "eclipse-zenoh", "net") from error
+    return zenoh
+
+
+def _identity(node: str, transport: Transport) -> Identity | None:
+    if transport.keys is None:
+        return None
+    try:
+        from terrafuse.keys.identity import load_identity
+    except ImportError as error:
+        raise MissingExtra("keys", "cryptography", "net") from error
+    return load_identity(transport.keys, node, bool(transport.listen))
+
+
+def _undeclare(subscriber: Any) -> None:
+    if subscriber is not None:
+        subscriber.undeclare()

@@ -1,0 +1,164 @@
+"""Links over Zenoh, without encryption: what every link keeps, and what this one says and survives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+
+pytest.importorskip("zenoh")
+
+from terrafuse.errors import InputError
+from terrafuse.exchange.links import Link
+from terrafuse.exchange.links.topics import key_of, topic_of
+from terrafuse.exchange.links.transport import Address, Transport, address
+from terrafuse.exchange.links.zenoh import ZenohLink
+from terrafuse.testing.links import LinkTests
+from tests.exchange.zenoh_nodes import LOOPBACK, free_port, joining, until
+
+
+def plain(**settings: object) -> Transport:
+    return Transport(insecure=True, **settings)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def here() -> str:
+    return f"tcp/{LOOPBACK}:{free_port()}"
+
+
+class TestZenohLink(LinkTests):
+    @pytest.fixture
+    def join(self, here: str) -> Iterator[Callable[[str], Link]]:
+        with joining(plain(listen=here), plain(connect=here)) as join:
+            yield join
+
+
+def test_topics_are_keys_that_wildcards_reach() -> None:
+    assert key_of("delta/fine/r4") == "delta/fine/r4"
+    assert key_of("delta/@r4/50%/a@b") == "delta/%40r4/50%25/a@b"
+    for topic in ("@", "%40", "%2540/@x", "a/%25/@@"):
+        assert topic_of(key_of(topic)) == topic
+        assert "/@" not in "/" + key_of(topic)
+
+
+@pytest.mark.parametrize(
+    ("text", "protocol", "expected"),
+    [
+        ("10.0.0.1", "tls", Address("tls", "10.0.0.1", 7447)),
+        ("tcp/0.0.0.0:7447", "tcp", Address("tcp", "0.0.0.0", 7447)),
+        ("tls/[::1]:17", "tls", Address("tls", "::1", 17)),
+        ("station.local:80", "tcp", Address("tcp", "station.local", 80)),
+    ],
+)
+def test_addresses_are_read(text: str, protocol: str, expected: Address) -> None:
+    assert address(text, protocol) == expected
+    assert address(str(expected), protocol) == expected
+
+
+@pytest.mark.parametrize(
+    "text", ["", "tcp/", "tcp/h:99999", "tcp/h:x", "tcp/h:1:2", "a b", "foo/h:1", "tcp//h", "::1:7"]
+)
+def test_addresses_that_are_none_are_refused(text: str) -> None:
+    with pytest.raises(InputError, match="HOST"):
+        address(text, "tcp")
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"connect": "h"}, "no keys: give --keys"),
+        ({"connect": "h", "keys": "x", "insecure": True}, "keep one"),
+        ({"connect": "tls/h", "insecure": True}, "tls needs keys"),
+        ({"connect": "tcp/h", "keys": "x"}, "tcp is not encrypted"),
+        ({"insecure": True}, "reaches nobody"),
+    ],
+)
+def test_nothing_goes_without_protection_by_accident(settings: dict[str, object], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        ZenohLink("r4", Transport(**settings))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["max_frame_bytes", "queue_bytes", "buffer_bytes", "hung_s"])
+def test_impossible_settings_are_refused(name: str) -> None:
+    with pytest.raises(InputError, match=name):
+        plain(**{name: 0})
+
+
+def test_an_address_in_use_is_said_to_be() -> None:
+    here = f"tcp/{LOOPBACK}:{free_port()}"
+    station = ZenohLink("station", plain(listen=here))
+    with pytest.raises(InputError, match=f"{here}: the address is in use"):
+        ZenohLink("other", plain(listen=here))
+    station.close()
+    ZenohLink("other", plain(listen=here)).close()
+
+
+def test_an_address_of_another_machine_is_said_to_be() -> None:
+    with pytest.raises(InputError, match="this machine has no such address"):
+        ZenohLink("station", plain(listen="203.0.113.4"))
+
+
+def test_a_robot_without_a_station_says_so_once_and_connects_when_it_comes(here: str) -> None:
+    said: list[str] = []
+    robot = ZenohLink("r4", plain(connect=here), said.append)
+    assert robot.trouble == f"nothing listens at {here}; start the station there, or check host and port"
+    robot.send("delta/r4/r4", b"lost", 0)
+    assert robot.counts["dropped.unconnected"] == 1
+    station = ZenohLink("station", plain(listen=here))
+    until(lambda: robot.nodes() == ["station"] and station.nodes() == ["r4"], "each other")
+    until(lambda: robot.trouble is None, "peace")
+    assert [text.partition(";")[0] for text in said] == [f"nothing listens at {here}", "connected"]
+    station.close()
+    until(lambda: robot.trouble is not None, "complaint")
+    assert len(said) == 3
+    assert robot.nodes() == []
+    robot.close()
+
+
+def test_a_name_is_given_once_even_if_the_other_comes_later(here: str) -> None:
+    """Both start before the station is there: when they meet, the older one stays."""
+    older, younger = (ZenohLink("r4", plain(connect=here)) for _ in range(2))
+    station = ZenohLink("station", plain(listen=here))
+
+    def refused() -> bool:
+        try:
+            younger.receive(0)
+        except InputError as error:
+            return "there is a node 'r4' already" in str(error)
+        return False
+
+    until(refused, "refusal")
+    with pytest.raises(InputError, match="'r4' already"):
+        younger.send("x", b"", 0)
+    older.send("x", b"", 0)
+    assert older.receive(0) == []
+    assert older.trouble is None
+    for link in (older, younger, station):
+        link.close()
+
+
+def test_what_does_not_fit_the_queue_is_dropped_and_counted(here: str) -> None:
+    """Of 1000 frames of 50 kB at once, few fit into 100 kB; sending returns at once, and what was taken arrives."""
+    station = ZenohLink("station", plain(listen=here))
+    station.listen("x")
+    robot = ZenohLink("r4", plain(connect=here, queue_bytes=100_000))
+    for _ in range(1000):
+        robot.send("x", bytes(50_000), 0)
+    until(lambda: robot.counts["frames_sent"] + robot.counts["dropped.queue"] == 1000, "an end")
+    assert robot.counts["dropped.queue"] > 0
+    until(lambda: station.counts["frames_received"] == robot.counts["frames_sent"], "frames")
+    for link in (robot, station):
+        link.close()
+
+
+def test_an_inbox_that_nobody_empties_is_bounded(here: str) -> None:
+    """100 kB hold ten frames of 10 kB."""
+    station = ZenohLink("station", plain(listen=here, inbox_bytes=100_000))
+    station.listen("x")
+    robot = ZenohLink("r4", plain(connect=here))
+    for _ in range(50):
+        robot.send("x", bytes(10_000), 0)
+    until(lambda: station.counts["dropped.inbox"] == 40, "frames")
+    assert len(station.receive(0)) == 10
+    for link in (robot, station):
+        link.close()

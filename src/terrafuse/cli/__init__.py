@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from terrafuse import __version__
-from terrafuse.cli import commands, compare, importing, models, plan, simulate
+from terrafuse.cli import commands, compare, importing, keys, models, plan, simulate
 from terrafuse.cli.output import fail
 from terrafuse.errors import InputError, TerrafuseError
 from terrafuse.plugins import blamed
@@ -33,6 +33,7 @@ app.command("compare")(compare.compare_)
 app.command("plan")(plan.plan_)
 app.command("simulate")(simulate.simulate)
 app.command("models")(models.models_)
+app.add_typer(keys.keys_app, name="keys")
 
 
 INTERRUPTED = 130

@@ -108,14 +108,21 @@ class Fleet:
         """From now on nobody takes anything from it or tells it anything; its name is not given again."""
         self._write_rosters(self.roster.but(replace(self._existing(name), revoked=True)))
 
+    def member(self, name: str) -> Member:
+        """One that is or was there. Raises InputError."""
+        member = self.roster.member(name)
+        if member is None:
+            names = ", ".join(each.name for each in self.roster.members) or "nobody yet"
+            raise InputError(f"there is no '{name}' in {self.folder}; there are: {names}")
+        return member
+
     def node_folder(self, name: str) -> Path:
         return self.folder / "nodes" / name
 
     def _existing(self, name: str) -> Member:
-        member = self.roster.member(name)
-        if member is None or member.revoked:
-            names = ", ".join(each.name for each in self.roster.members if not each.revoked) or "nobody yet"
-            raise InputError(f"there is no '{name}' in {self.folder}; there are: {names}")
+        member = self.member(name)
+        if member.revoked:
+            raise InputError(f"'{name}' was revoked; add it by another name")
         return member
 
     def _issue(self, member: Member, days: int) -> Path:

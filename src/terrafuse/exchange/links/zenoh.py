@@ -71,7 +71,8 @@ class ZenohLink:
         self._session: Any = None
         self._links: dict[str, bool] = {}
         """Who is on the other side of each connection, and whether that is a router."""
-        self._linked_s = 0.0
+        self._linked_s = time.monotonic()
+        """When there was last a connection more or less."""
         self._met = threading.Event()
         self._refused: TerrafuseError | None = None
         self._closing = threading.Event()
@@ -145,7 +146,7 @@ class ZenohLink:
     # --- the link's thread --------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        pause_s, silent_s = PAUSE_S, 0.0
+        pause_s, looked_s = PAUSE_S, 0.0
         while not self._closing.is_set():
             if self._session is None:
                 if self._open():
@@ -157,9 +158,9 @@ class ZenohLink:
             frame = self._queue.take(LOOK_S)
             if frame is not None:
                 self._put(frame)
-                continue
-            silent_s = silent_s + LOOK_S if self._alone else 0.0
-            self._look(silent_s)
+            if time.monotonic() - looked_s >= LOOK_S:
+                self._look()
+                looked_s = time.monotonic()
 
     def _open(self) -> bool:
         """One attempt; whether there is a session now."""
@@ -235,7 +236,7 @@ class ZenohLink:
         self.counts["frames_sent"] += 1
         self.counts["bytes_sent"] += len(frame.payload)
 
-    def _look(self, silent_s: float) -> None:
+    def _look(self) -> None:
         """What nobody tells the thread of: rules that changed, a namesake, a connection that does not come back."""
         if self._met.is_set():
             self._met.clear()
@@ -249,13 +250,13 @@ class ZenohLink:
             )
         elif not self._alone:
             self._well()
-        elif silent_s > NO_WORD_S and self.trouble is None:
+        elif self.trouble is None and time.monotonic() - self._linked_s > NO_WORD_S:
             self._say(self._diagnosis())
 
     def _shut_out(self) -> bool:
         """Whether there is a connection, for long enough, and still no sign even of who is at its other end."""
-        long_since = time.monotonic() - self._linked_s > NO_WORD_S
-        return self._identity is not None and not self._alone and long_since and not self.nodes()
+        settled = time.monotonic() - self._linked_s > NO_WORD_S
+        return self._identity is not None and not self._alone and settled and not self.nodes()
 
     def _renew(self) -> None:
         """Rules can't be changed on a session; a new one has them, and the others are back within a second."""
@@ -304,9 +305,9 @@ class ZenohLink:
         if str(event.kind) == "SampleKind.PUT":
             self._links = self._links | {other: event.transport.whatami == self._zenoh.WhatAmI.ROUTER}
             self.counts["connections"] += 1
-            self._linked_s = time.monotonic()
         else:
             self._links = {zid: router for zid, router in self._links.items() if zid != other}
+        self._linked_s = time.monotonic()
 
     def _meet_namesake(self) -> None:
         self._met.set()

@@ -64,6 +64,12 @@ class Store(Protocol):
     def revision(self, robot: str) -> int:
         """The newest revision of any delta of this robot; 0 if there is none."""
 
+    def level(self, robot: str) -> int:
+        """The newest revision that a delta of this robot leads to: one that began before it (`since` < `revision`).
+
+        A delta that begins where it ends brings cells and leads nowhere: a piece of a whole, of which more is to come.
+        """
+
     def stamp(self, robot: str) -> Stamp:
         """The newest stamp of any delta of this robot; 0 if there is none."""
 

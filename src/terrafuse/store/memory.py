@@ -24,6 +24,7 @@ class MemoryStore:
         self._paths: dict[str, dict[int, PathPoint]] = {}
         self._history: dict[tuple[str, int, int, str], HistoryEntry] = {}
         self._newest: dict[str, tuple[int, Stamp]] = {}
+        self._levels: dict[str, int] = {}
 
     @property
     def map(self) -> MapId:
@@ -47,6 +48,8 @@ class MemoryStore:
             self._paths.setdefault(delta.robot, {}).setdefault(point.stamp_ns, point)
         revision, stamp_ns = self._newest.get(delta.robot, (0, 0))
         self._newest[delta.robot] = max(revision, delta.revision), max(stamp_ns, delta.stamp_ns)
+        if delta.since < delta.revision:
+            self._levels[delta.robot] = max(self.level(delta.robot), delta.revision)
         self._history[delta.identity] = HistoryEntry(
             len(self._history) + 1,
             delta.robot,
@@ -70,6 +73,9 @@ class MemoryStore:
 
     def revision(self, robot: str) -> int:
         return self._newest.get(robot, (0, 0))[0]
+
+    def level(self, robot: str) -> int:
+        return self._levels.get(robot, 0)
 
     def stamp(self, robot: str) -> Stamp:
         return self._newest.get(robot, (0, 0))[1]

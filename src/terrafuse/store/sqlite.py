@@ -216,6 +216,11 @@ class SqliteStore:
         ((newest_revision,),) = self._read("SELECT coalesce(max(revision), 0) FROM deltas WHERE robot = ?", (robot,))
         return int(newest_revision)
 
+    def level(self, robot: str) -> int:
+        query = "SELECT coalesce(max(revision), 0) FROM deltas WHERE robot = ? AND since < revision"
+        ((level,),) = self._read(query, (robot,))
+        return int(level)
+
     def stamp(self, robot: str) -> Stamp:
         ((newest_stamp,),) = self._read("SELECT coalesce(max(stamp_ns), 0) FROM deltas WHERE robot = ?", (robot,))
         return int(newest_stamp)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from terrafuse.errors import DeltaError
+from terrafuse.exchange.delta import Delta
 from terrafuse.lattice import Lattice
 from terrafuse.models import make_model
 from terrafuse.replica import Replica
@@ -48,6 +49,17 @@ class StoreTests:
         assert store.revision("r1") == 6
         assert store.revisions("r1") == {tile.key: int(tile.cells["revision"].max()) for tile in whole.tiles}
         assert [entry.revision for entry in store.history()] == [1, 2, 3, 4, 5, 6]
+
+    def test_pieces_lead_nowhere(self, store: Store) -> None:
+        first, second, third = deltas_of("r1", random_scans(1, 3), LATTICE, MODEL)
+        assert store.level("r1") == 0
+        store.accept(first)
+        store.accept(replace(third, since=3))
+        assert (store.revision("r1"), store.level("r1")) == (3, 1)
+        store.accept(second)
+        assert store.level("r1") == 2
+        store.accept(Delta(third.map, "r1", 2, 3, third.stamp_ns, ()))
+        assert (store.revision("r1"), store.level("r1")) == (3, 3)
 
     def test_order_and_repetition_make_no_difference(self, store: Store) -> None:
         deltas = deltas_of("r1", random_scans(2, 5), LATTICE, MODEL) + deltas_of(

@@ -308,9 +308,7 @@ def _integrate_all(
         if stop.is_set():
             return
         if isinstance(record, Scan):
-            placed = _placed(record, log, run.settings)
-            with _of_log(mapper.robot, log):
-                scan = applied(sensor, placed) if sensor else undescribed(placed)
+            scan = prepared(run, mapper.robot, record)
             points = len(record.points) or len(scan.points)  # a log of bare ranges has none before they are aimed
             here = scan.T_world_sensor.position
             report.distance_m += float(np.linalg.norm(here - position)) if position is not None else 0.0
@@ -343,6 +341,14 @@ def _timed(records: Iterator[Record], clock: dict[str, float]) -> Iterator[Recor
         if record is None:
             return
         yield record
+
+
+def prepared(run: Plan, robot: str, scan: Scan) -> Scan:
+    """A scan of the robot's log as its mapper takes it: in the map's frame, read as its sensor is described."""
+    log, sensor = run.logs[robot], run.sensors.get(robot)
+    placed = _placed(scan, log, run.settings)
+    with _of_log(robot, log):
+        return applied(sensor, placed) if sensor else undescribed(placed)
 
 
 def _placed(scan: Scan, log: Log, settings: MapSettings) -> Scan:

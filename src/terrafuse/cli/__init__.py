@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from terrafuse import __version__
-from terrafuse.cli import commands, compare, importing, keys, models, plan, simulate
+from terrafuse.cli import commands, compare, importing, keys, models, plan, services, simulate
 from terrafuse.cli.output import fail
 from terrafuse.errors import InputError, TerrafuseError
 from terrafuse.plugins import blamed
@@ -34,6 +34,11 @@ app.command("plan")(plan.plan_)
 app.command("simulate")(simulate.simulate)
 app.command("models")(models.models_)
 app.add_typer(keys.keys_app, name="keys")
+app.command("station")(services.station)
+app.command("robot")(services.robot)
+app.command("fleet")(services.fleet)
+app.command("services")(services.services)
+app.command("get")(services.get)
 
 
 INTERRUPTED = 130

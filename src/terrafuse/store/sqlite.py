@@ -249,6 +249,12 @@ class SqliteStore:
         rows = self._read("SELECT name, value FROM meta WHERE name LIKE 'note:%' ORDER BY name")
         return {name.removeprefix("note:"): json.loads(value) for name, value in rows}
 
+    @contextmanager
+    def unchanged(self) -> Iterator[None]:
+        """While the block runs, no other thread writes by this object: several reads tell of one state."""
+        with self._lock:
+            yield
+
     def _read(self, query: str, values: tuple[Any, ...] = ()) -> list[Any]:
         with self._lock, _faults(self.file):
             return self._connection.execute(query, values).fetchall()

@@ -1,0 +1,404 @@
+"""`terrafuse station`, `robot`, `fleet`: nodes that run; `services`, `get`: how they fare."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from terrafuse.cli import arguments
+from terrafuse.cli.commands import MODEL_HELP, SENSOR_HELP, WINDOW_HELP, Json
+from terrafuse.cli.output import LINES_EVERY_S, bytes_text, count_text, note, say, say_json, tell_of_compiling
+from terrafuse.cli.plugins import Plugins
+
+if TYPE_CHECKING:
+    from terrafuse.services.directory import Entry
+    from terrafuse.services.node import Node
+    from terrafuse.services.settings import FleetSettings
+
+INTERRUPTED = 130
+ADDRESS = "tcp/127.0.0.1:7447"
+
+Model = Annotated[str, typer.Option(metavar="NAME[?SETTINGS]", help=MODEL_HELP)]
+Resolution = Annotated[float, typer.Option(help="Side of a cell, metres.")]
+Tile = Annotated[float | None, typer.Option(help="Side of a tile, metres.  [default: 40, or what cells fit into]")]
+Crs = Annotated[str | None, typer.Option(help="CRS of the map, like EPSG:32632.")]
+Factor = Annotated[int, typer.Option(help="Also exchange a global map of cells this many times as wide, first.")]
+Budget = Annotated[float | None, typer.Option("--budget", metavar="BYTES_PER_S", help="What this node sends at most.")]
+Keys = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="This node's keys, of 'terrafuse keys add': all goes encrypted.")
+]
+Insecure = Annotated[
+    bool, typer.Option("--insecure", help="No encryption, no identity: whoever reaches the address is believed.")
+]
+Connect = Annotated[list[str], typer.Option(metavar="ADDRESS", help=f"Of the station, like {ADDRESS}; repeatable.")]
+StationName = Annotated[str, typer.Option("--station", metavar="NAME", help="The station's name.")]
+
+
+def station(
+    store: Annotated[
+        str, typer.Option(metavar="FILE|URL", help="Of the map; made if it is not there, else gone on with.")
+    ],
+    listen: Annotated[
+        list[str], typer.Option(metavar="ADDRESS", help="Where robots find it, like tcp/0.0.0.0:7447; repeatable.")
+    ],
+    name: Annotated[str, typer.Option(help="Of this station, in the fleet.")] = "station",
+    model: Model = "elevation",
+    resolution: Resolution = 0.1,
+    tile: Tile = None,
+    crs: Crs = None,
+    global_factor: Factor = 1,
+    budget: Budget = None,
+    keys: Keys = None,
+    insecure: Insecure = False,
+    plugin: Plugins = None,
+    json: Json = False,
+) -> int:
+    """Run a station: where robots meet, and where their maps become one.
+
+    It runs until it is stopped (Ctrl-C, SIGTERM); the same command goes on with the same map. Robots must be given the
+    same --model, --resolution and --tile.
+    """
+    from terrafuse.services.settings import LinkPart, StationPart
+
+    about = _map(model, resolution, tile, crs, global_factor)
+    link = _link(listen=tuple(listen), keys=keys, insecure=insecure, kind=LinkPart)
+    part = StationPart(name=name, store=str(_path(store)), bytes_per_s=arguments.positive("--budget", budget, "bytes"))
+    return _run(_settings(map=about, link=link, station=part), [name], json)
+
+
+def robot(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Of this robot, in the fleet.")],
+    connect: Connect,
+    source: Annotated[
+        str, typer.Option(metavar="LOG|SCENARIO/ROBOT", help="What it senses: a log, or a robot of a scenario.")
+    ],
+    store: Annotated[
+        str | None,
+        typer.Option(metavar="FILE|URL", help="Of its own map, and of what is still to send.  [default: NAME.db]"),
+    ] = None,
+    model: Model = "elevation",
+    resolution: Resolution = 0.1,
+    tile: Tile = None,
+    crs: Crs = None,
+    origin: Annotated[
+        str | None, typer.Option(metavar="E,N", help="Where the origin of a log in a local frame lies, in the CRS.")
+    ] = None,
+    window: Annotated[str, typer.Option(help=WINDOW_HELP)] = "tiles3x3",
+    sensor: Annotated[str | None, typer.Option(metavar="FILE", help=SENSOR_HELP)] = None,
+    global_factor: Factor = 1,
+    share: Annotated[
+        str | None,
+        typer.Option(help="Which map of the fleet it holds: coarse, fine or none.  [default: the coarsest there is]"),
+    ] = None,
+    station_name: StationName = "station",
+    budget: Budget = None,
+    realtime: Annotated[bool, typer.Option("--realtime", help="Scans come when their stamps say so.")] = False,
+    keys: Keys = None,
+    insecure: Insecure = False,
+    plugin: Plugins = None,
+    json: Json = False,
+) -> int:
+    """Run one robot: it senses, maps and reports, and ends when its source ends and all is at the station.
+
+    Stopped before that (Ctrl-C, SIGTERM, a crash), what it had is in its store; the same command goes on from there.
+    """
+    from terrafuse.errors import InputError
+    from terrafuse.services.settings import LinkPart, RobotPart
+
+    if share not in (None, "coarse", "fine", "none"):
+        raise InputError(f"--share {share}: give coarse, fine or none")
+    if share == "coarse" and global_factor == 1:
+        raise InputError("--share coarse: there is a coarse map only with a --global-factor over 1")
+    about = _map(
+        model, resolution, tile, crs, global_factor,
+        origin_m=arguments.numbers("--origin", origin, "EAST,NORTH"), window=window,
+    )  # fmt: skip
+    part = RobotPart(
+        source=source, store=str(_path(store or f"{name}.db")), sensor=sensor, realtime=realtime,
+        share=share, bytes_per_s=arguments.positive("--budget", budget, "bytes"),  # type: ignore[arg-type]
+    )  # fmt: skip
+    link = _link(connect=tuple(connect), keys=keys, insecure=insecure, kind=LinkPart)
+    return _run(_settings(map=about, link=link, stations=(station_name,), robots={name: part}), [name], json)
+
+
+def fleet(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="What runs where: docs/services.md.")],
+    node: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Only this node of it, here; repeatable.")
+    ] = None,
+    plugin: Plugins = None,
+    json: Json = False,
+) -> int:
+    """Run the station and the robots of a file, all in this process, or those named.
+
+    Ends when all robots here are done; without robots, when it is stopped.
+    """
+    from terrafuse.services.settings import chosen, load_fleet
+
+    settings = load_fleet(file)
+    return _run(settings, chosen(settings, node or []), json)
+
+
+def services(
+    connect: Connect,
+    station_name: StationName = "station",
+    once: Annotated[bool, typer.Option("--once", help="Say it once, and end.")] = False,
+    name: Annotated[str | None, typer.Option(help="Of this node; with --keys, the keys' own.")] = None,
+    keys: Keys = None,
+    insecure: Insecure = False,
+    json: Json = False,
+) -> None:
+    """List every service of the fleet with its health and state, live: Ctrl-C ends it. --json says it once."""
+    with _operator(connect, station_name, name, keys, insecure) as asking:
+        if json:
+            say_json({"nodes": [_entry_json(entry) for entry in asking.fleet()]})
+        elif once or not sys.stdout.isatty():
+            _print_table(asking.fleet())
+        else:
+            _watch(asking)
+
+
+def get(
+    service: Annotated[str, typer.Argument(metavar="NODE/SERVICE", help="As 'terrafuse services' lists it.")],
+    connect: Connect,
+    station_name: StationName = "station",
+    name: Annotated[str | None, typer.Option(help="Of this node; with --keys, the keys' own.")] = None,
+    keys: Keys = None,
+    insecure: Insecure = False,
+    json: Json = False,
+) -> None:
+    """Print what a service shows of itself: contract, health, counters, state."""
+    from terrafuse.errors import InputError
+
+    with _operator(connect, station_name, name, keys, insecure) as asking:
+        entries = asking.fleet()
+    found = {f"{entry.node}/{status.name}": (entry, status) for entry in entries for status in entry.services}
+    if service not in found:
+        raise InputError(f"no service '{service}'; there are {', '.join(found)}")
+    entry, status = found[service]
+    value = _status_json(status) | {"node": entry.node, "age_s": round(entry.age_s, 1), "lost": entry.lost}
+    if json:
+        say_json(value)
+    else:
+        from json import dumps
+
+        say(dumps(value, indent=1, allow_nan=False))
+
+
+# --- running ----------------------------------------------------------------------------------------------------------
+
+
+def _map(model: str, resolution: float, tile: float | None, crs: str | None, factor: int, **more: Any) -> Any:
+    from terrafuse.config import map_settings
+
+    name, model_settings = arguments.model(model)
+    return map_settings(
+        model=name, model_settings=model_settings, resolution_m=arguments.positive("--resolution", resolution),
+        tile_m=arguments.positive("--tile", tile), crs=crs, global_factor=factor, **more,
+    )  # fmt: skip
+
+
+def _link(kind: Callable[..., Any], keys: Path | None, **values: Any) -> Any:
+    return kind(keys=None if keys is None else str(keys), **values)
+
+
+def _path(store: str) -> Path:
+    """`map.db`, or `sqlite:///map.db`; with a fourth slash the path is absolute."""
+    from terrafuse.errors import InputError
+
+    scheme, divider, path = store.partition(":///")
+    if divider and scheme != "sqlite":
+        raise InputError(f"--store {store}: stores are SQLite files; give a path, or sqlite:///PATH")
+    return arguments.store_file(Path(path if divider else store))
+
+
+def _settings(**parts: Any) -> FleetSettings:
+    from pydantic import ValidationError
+
+    from terrafuse.errors import InputError
+    from terrafuse.services.settings import FleetSettings
+
+    try:
+        return FleetSettings(**parts)
+    except ValidationError as error:
+        raise InputError(error.errors()[0]["msg"]) from error
+
+
+def _run(settings: FleetSettings, names: Sequence[str], json: bool) -> int:
+    """Run these nodes, tell of them on stderr, and of what came of it on stdout; returns the exit code."""
+    from terrafuse.services.carriers import carrier
+    from terrafuse.services.node import make_node
+    from terrafuse.services.run import Hung, run, stopped_by_signals
+
+    tell_of_compiling()
+    with stopped_by_signals() as stop:
+        carry = carrier(settings, note)
+        nodes = [make_node(settings, name, carry) for name in names]
+        for name in names:
+            note(f"{name}: {_begins(settings, name)}")
+        try:
+            done = run(nodes, stop, _Progress())
+        except Hung:
+            _tell(nodes, False, json)
+            sys.stdout.flush()
+            os._exit(_code(nodes, False))  # what is not committed is as good as never done
+    _tell(nodes, done, json)
+    return _code(nodes, done)
+
+
+def _code(nodes: Sequence[Node], done: bool) -> int:
+    """Stations are stopped to end; robots that are, have not ended."""
+    return 0 if done or all(node.ends_with is None for node in nodes) else INTERRUPTED
+
+
+def _begins(settings: FleetSettings, name: str) -> str:
+    about = settings.map
+    if settings.station is not None and name == settings.station.name:
+        where = f"listens on {', '.join(settings.link.listen)}" if settings.link.listen else "in this process"
+        return f"map of {about.model}, {about.resolution_m:g} m cells, in {settings.station.store}; {where}"
+    part = settings.robots[name]
+    return f"maps {part.source} into {part.store}, reports to {', '.join(settings.reported_to)}"
+
+
+class _Progress:
+    """A line for each node every few seconds, and at once for what went wrong."""
+
+    def __init__(self) -> None:
+        self._last = time.monotonic()
+        self._told: dict[tuple[str, str], int] = {}
+
+    def __call__(self, nodes: Sequence[Node]) -> None:
+        for node in nodes:
+            self._tell_of_restarts(node)
+        if time.monotonic() - self._last >= LINES_EVERY_S:
+            self._last = time.monotonic()
+            for node in nodes:
+                note(f"{node.name}: {_progress(node)}")
+
+    def _tell_of_restarts(self, node: Node) -> None:
+        for status in node.statuses.values():
+            if status.restarts > self._told.get((node.name, status.name), 0):
+                self._told[node.name, status.name] = status.restarts
+                note(f"{node.name}: the service '{status.name}' was started again ({status.reason})")
+
+
+def _progress(node: Node) -> str:
+    states = {name: status.state for name, status in node.statuses.items()}
+    if node.ends_with is None:
+        fine = states["map-manager"].get("channels", {}).get("fine", {})
+        reached = states["map-manager"].get("peers", [])
+        return f"{len(fine)} robots' maps held, {len(reached)} nodes in reach"
+    source, mapping, exchange = states["source"], states["mapping"], states["exchange"]
+    of = "" if source.get("records") is None else f" of {source['records']}"
+    lacks = sum(n for by in exchange.get("behind", {}).values() for robots in by.values() for n in robots.values())
+    reached = "in reach" if set(exchange.get("stations", [])) <= set(exchange.get("peers", [])) else "not in reach"
+    return f"{mapping.get('revision', 0)}{of} scans mapped, {lacks} of them not at the station, which is {reached}"
+
+
+def _tell(nodes: Sequence[Node], done: bool, json: bool) -> None:
+    facts = {node.name: _facts(node) for node in nodes}
+    if json:
+        say_json({"done": done, "nodes": facts})
+        return
+    for node in nodes:
+        say(f"{node.name}: {_words(node, facts[node.name])}")
+
+
+def _facts(node: Node) -> dict[str, Any]:
+    return {"done": node.done, "services": {name: _status_json(status) for name, status in node.statuses.items()}}
+
+
+def _words(node: Node, facts: dict[str, Any]) -> str:
+    of = facts["services"]
+    if node.ends_with is None:
+        held = of["map-manager"]["state"].get("channels", {}).get("fine", {})
+        return f"stopped; holds {', '.join(f'{name} up to scan {n}' for name, n in held.items()) or 'nothing yet'}"
+    source, counts = of["source"]["state"], of["exchange"]["counts"]
+    sent = bytes_text(sum(n for key, n in counts.items() if key.startswith("bytes_sent.")))
+    skipped = "".join(f", {n} not placed ({why})" for why, n in source.get("skipped", {}).items())
+    what = f"{source.get('scans', 0)} scans{skipped}, {count_text(source.get('points', 0))}points, {sent} sent"
+    if node.done:
+        return f"{what}; all is at the station"
+    return f"{what}; stopped, what is not sent is kept, and the same command goes on"
+
+
+# --- looking ----------------------------------------------------------------------------------------------------------
+
+
+def _operator(connect: Sequence[str], station_name: str, name: str | None, keys: Path | None, insecure: bool) -> Any:
+    from terrafuse.exchange.links.transport import Transport
+    from terrafuse.exchange.links.zenoh import ZenohLink
+    from terrafuse.services.operator import operator, operator_name
+
+    own = name or (keys.name if keys is not None else operator_name())
+    return operator(ZenohLink(own, Transport(connect=connect, keys=keys, insecure=insecure), note), station_name)
+
+
+def _status_json(status: Any) -> dict[str, Any]:
+    import msgspec
+
+    out: dict[str, Any] = msgspec.to_builtins(status)
+    return out
+
+
+def _entry_json(entry: Entry) -> dict[str, Any]:
+    services = [_status_json(status) for status in entry.services]
+    return {"node": entry.node, "age_s": round(entry.age_s, 1), "lost": entry.lost, "services": services}
+
+
+def _watch(asking: Any) -> None:
+    from rich.live import Live
+
+    try:
+        with Live(screen=False, auto_refresh=False) as live:
+            for entries in asking.watch():
+                live.update(_table(entries), refresh=True)
+    except KeyboardInterrupt:
+        pass  # that is how it ends
+
+
+def _print_table(entries: Sequence[Entry]) -> None:
+    from rich.console import Console
+
+    Console().print(_table(entries))
+
+
+def _table(entries: Sequence[Entry]) -> Any:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in ("service", "contract", "health", "restarts", "state"):
+        table.add_column(column, overflow="fold")
+    for entry in entries:
+        for status in entry.services:
+            health = f"lost {entry.age_s:.0f} s ago" if entry.lost else status.health
+            reason = f"\n{status.reason}" if status.reason else ""
+            table.add_row(
+                f"{entry.node}/{status.name}", status.contract, health, f"{status.restarts}{reason}",
+                _short(status.state),
+            )  # fmt: skip
+    return table
+
+
+SHOWN = (
+    "scans", "revision", "committed", "tiles", "waiting_scans", "peers", "behind", "channels", "trouble", "said",
+    "nodes", "health",
+)  # fmt: skip
+"""Of states, in the table; `terrafuse get` has all."""
+
+
+def _short(state: dict[str, Any]) -> str:
+    return ", ".join(f"{key} {_plain(state[key])}" for key in SHOWN if state.get(key) not in (None, {}, [], ""))
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, dict):
+        return " ".join(f"{key} {_plain(inner)}" for key, inner in value.items()) or "none"
+    return " ".join(map(str, value)) if isinstance(value, list) else str(value)

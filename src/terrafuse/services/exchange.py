@@ -1,0 +1,196 @@
+"""The service that brings a node's contributions to others and theirs to it: outbox, replica and network in one thread.
+
+At a robot it is called `exchange`, at a station `map-manager` (*patrol*: Map Manager).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from terrafuse.errors import InputError
+from terrafuse.exchange.courier import Channel, Courier, CourierSettings
+from terrafuse.exchange.delta import map_id
+from terrafuse.exchange.links import Link
+from terrafuse.lattice import Lattice
+from terrafuse.models.base import Model
+from terrafuse.services.ports import Handover, Letter, Letterbox, letter_from
+from terrafuse.services.service import SECOND_NS, Contract, Message, Service
+from terrafuse.store.base import Store
+
+TICK_S = 0.02
+EXCHANGE, MAP_MANAGER = "exchange", "map-manager"
+
+
+@dataclass(frozen=True)
+class About:
+    """Which map a node works on; stations and robots tell each other when they meet."""
+
+    lattice: Lattice
+    model: Model
+
+    def as_json(self) -> dict[str, Any]:
+        return {"map": asdict(map_id(self.model.name, self.lattice)), "settings": self.model.settings()}
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a robot's node tells of its own map."""
+
+    archive: Store
+    """Of the fine map; the mapping writes to it."""
+    handover: Handover
+    coarse: Store | None = None
+    """Of this service alone: what came by the handover."""
+
+
+class Exchange(Service):
+    """Owns the node's link and courier.
+
+    `stations`: whom it asks to take its map, and waits for: it is done when all of it is there, and nothing more comes.
+    `deliver(service, message)` hands a message of another node to a service of this one.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        about: About,
+        link: Callable[[], Link],
+        channels: Callable[[], Sequence[Channel]],
+        settings: CourierSettings,
+        letters: Letterbox,
+        deliver: Callable[[str, Message], object],
+        *,
+        peers: Sequence[str] | None = None,
+        told: Told | None = None,
+    ) -> None:
+        super().__init__()
+        self.contract = contract_of(name)
+        self.stations = tuple(peers or ()) if told else ()
+        self.partners = ("mapping", *(f"{station}/{MAP_MANAGER}" for station in self.stations)) if told else ()
+        self._about, self._letters, self._deliver, self._told = about, letters, deliver, told
+        self._channels = channels()
+        self._link = link()
+        try:
+            self._courier = Courier(self._link, self._channels, peers=peers, on_message=self._bring, settings=settings)
+            for station in self.stations:
+                join = Message(contract_of(MAP_MANAGER).id, "join", json.dumps(about.as_json()).encode())
+                self._write(Letter(station, MAP_MANAGER, join))
+        except BaseException:
+            self._link.close()
+            raise
+        self._said: dict[str, str] = {}
+        self._now_ns = 0
+        self._quiet_ns: int | None = None
+        """Since when all was on disk and nothing lacked."""
+
+    def tick(self, now_ns: int) -> float:
+        self._now_ns = now_ns
+        self._take_coarse()
+        for letter in self._letters.take():
+            self._write(letter)
+        self._courier.tick(now_ns)
+        if self._told is not None and self.stations:
+            self._look_whether_done(self._told, now_ns)
+        return TICK_S
+
+    def post(self, message: Message) -> None:
+        if message.kind == "join":
+            self._meet(message)
+        elif message.sender in self.stations:
+            self._said[message.sender] = message.payload.decode(errors="replace")
+            if message.kind == "refuse":
+                raise InputError(f"'{message.sender}' does not take this robot's map: {self._said[message.sender]}")
+
+    def state(self) -> dict[str, Any]:
+        self.counts.update(self._courier.counts - self.counts)
+        out: dict[str, Any] = {
+            "node": self._link.node,
+            **self._about.as_json(),
+            "peers": self._courier.reached(self._now_ns),
+            "channels": {channel.name: _held(channel) for channel in self._channels},
+        }
+        if trouble := getattr(self._link, "trouble", None):
+            out["trouble"] = trouble
+        if self.stations:
+            out["stations"] = list(self.stations)
+            out["behind"] = {station: self._courier.behind(station) for station in self.stations}
+        if self._said:
+            out["said"] = self._said
+        return out
+
+    def close(self) -> None:
+        self._link.close()
+
+    def _bring(self, sender: str, kind: str, payload: bytes) -> None:
+        letter = letter_from(sender, kind, payload)
+        if letter is None or not self._deliver(letter.service, letter.message):
+            self.counts["refused.letter"] += 1
+
+    def _write(self, letter: Letter) -> None:
+        try:
+            self._courier.post(letter.node, letter.kind, letter.message.payload)
+        except InputError:  # no peer, or too long
+            self.counts["refused.outgoing"] += 1
+
+    def _take_coarse(self) -> None:
+        """What changed on the coarser lattice, once the scans that it comes of are on disk."""
+        if self._told is None or self._told.coarse is None:
+            return
+        waiting, archive = self._told.handover.coarse, self._told.archive
+        while waiting and waiting[0].revision <= archive.revision(waiting[0].robot):
+            self._told.coarse.accept(waiting.popleft())
+
+    def _look_whether_done(self, told: Told, now_ns: int) -> None:
+        """Two reports without anything lacking: by then whatever the mapping left was told."""
+        lacks = any(self._courier.behind(station) for station in self.stations)
+        reached = set(self._courier.reached(now_ns)) >= set(self.stations)
+        if lacks or not reached or not told.handover.committed.is_set() or told.handover.coarse:
+            self._quiet_ns = None
+        elif self._quiet_ns is None:
+            self._quiet_ns = now_ns
+        else:
+            patience_ns = 2 * self._courier.settings.period_s * SECOND_NS
+            self.done = self.done or now_ns - self._quiet_ns >= patience_ns
+
+    def _meet(self, message: Message) -> None:
+        """A robot says which map it works on: is it this one?"""
+        try:
+            theirs = json.loads(message.payload)
+            map_, settings = theirs["map"], theirs["settings"]
+        except (ValueError, KeyError, TypeError):
+            self.counts["refused.join"] += 1
+            return
+        ours = self._about.as_json()
+        kind, words = "welcome", ""
+        if map_ != ours["map"]:
+            kind, words = (
+                "refuse",
+                f"it works on {_words(map_)}, and the station on {_words(ours['map'])}; make them equal",
+            )
+            self.counts["refused.join"] += 1
+        elif settings != ours["settings"]:
+            other = sorted(key for key in ours["settings"] if settings.get(key) != ours["settings"][key])
+            words = f"the model's settings differ from the station's: {', '.join(other)}"
+        reply = Message(contract_of(EXCHANGE).id, kind, words.encode())
+        self._write(Letter(message.sender, EXCHANGE, reply))
+
+
+def contract_of(name: str) -> Contract:
+    return Contract(f"terrafuse/{name}", 1, remote=frozenset({"join", "welcome", "refuse"}))
+
+
+def _held(channel: Channel) -> dict[str, Any]:
+    """By robot, the revision that is held of it."""
+    if channel.store is not None:
+        return {robot: channel.store.revision(robot) for robot in channel.store.robots()}
+    return {} if channel.own is None else {channel.own.robot: channel.own.revision}
+
+
+def _words(map_: Any) -> str:
+    if not isinstance(map_, dict):
+        return "no map"
+    frame = map_.get("crs") or "a local frame"
+    return f"{map_.get('model')}, cells of {map_.get('resolution_m')} m, tiles of {map_.get('tile_m')} m, {frame}"

@@ -1,0 +1,207 @@
+"""Nodes, put together: which services a robot and a station consist of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from terrafuse.errors import StoreMismatch
+from terrafuse.exchange.courier import Channel, CourierSettings
+from terrafuse.lattice import Lattice
+from terrafuse.mapping import open_partial, plan, tile_for
+from terrafuse.models import make_model
+from terrafuse.models.base import Model
+from terrafuse.services.carriers import Carrier
+from terrafuse.services.directory import DIRECTORY, Directory
+from terrafuse.services.exchange import EXCHANGE, MAP_MANAGER, About, Exchange, Told
+from terrafuse.services.held import Held
+from terrafuse.services.mapping import Mapping
+from terrafuse.services.ports import Handover, Letterbox, ScanPort
+from terrafuse.services.service import DONE, Status
+from terrafuse.services.settings import FleetSettings
+from terrafuse.services.source import Source
+from terrafuse.services.supervise import Orchestration, Restarts, Spec, Supervisor
+from terrafuse.store.base import Store
+from terrafuse.store.memory import MemoryStore
+from terrafuse.store.sqlite import SqliteStore
+
+ALWAYS = Restarts(most=None)
+ORCHESTRATION = "orchestration"
+FINE, COARSE = "fine", "coarse"
+MESSAGE_S, CELL_BYTES = 0.5, 10
+"""What a message may take of a link, and a cell about takes of a message."""
+LEAST_CELLS, MOST_CELLS = 2048, 1 << 16
+
+
+@dataclass(eq=False)
+class Node:
+    """A node with its services, and the stores that it holds open; `close` once the services have left."""
+
+    name: str
+    supervisor: Supervisor
+    ends_with: str | None
+    """The service with which the node's work is done; None: it never is."""
+    files: ExitStack = field(default_factory=ExitStack)
+
+    @property
+    def statuses(self) -> dict[str, Status]:
+        return {status.name: status for status in self.supervisor.statuses}
+
+    @property
+    def done(self) -> bool:
+        return self.ends_with is not None and self.statuses[self.ends_with].health == DONE
+
+    def close(self) -> None:
+        self.files.close()
+
+
+def make_node(settings: FleetSettings, name: str, carrier: Carrier) -> Node:
+    """A node of these settings by its name. Raises InputError and its kin before anything runs."""
+    if settings.station is not None and name == settings.station.name:
+        return station(settings, carrier)
+    return robot(settings, name, carrier)
+
+
+def station(settings: FleetSettings, carrier: Carrier) -> Node:
+    """Map manager, directory, and the mapping orchestration over them."""
+    part = settings.station
+    assert part is not None
+    files = ExitStack()
+    store = files.enter_context(open_map(Path(part.store), settings))
+    factor = settings.map.global_factor
+    coarse = _coarse_file(files, Path(part.store), store, factor) if factor > 1 else None
+    letters = Letterbox()
+    pace = _pace(part.bytes_per_s)
+    about = About(store.map.lattice, store.model)
+
+    def channels() -> Sequence[Channel]:
+        fine = Channel(FINE, store, relay=True)
+        return [fine] if coarse is None else [Channel(COARSE, coarse, relay=True), fine]
+
+    link = carrier(part.name)
+    specs = [
+        Spec(
+            MAP_MANAGER,
+            lambda: Exchange(MAP_MANAGER, about, link, channels, pace, letters, supervisor.send),
+            restarts=ALWAYS,
+        ),
+        *_common("terrafuse/mapping-orchestration", lambda: supervisor, part.name, letters, (), pace.bytes_per_s),
+    ]
+    supervisor = Supervisor(specs)
+    return Node(part.name, supervisor, None, files)
+
+
+def robot(settings: FleetSettings, name: str, carrier: Carrier) -> Node:
+    """Source, mapping, exchange, directory, and the robot orchestration over them.
+
+    Two threads: `mapping` has the source and the mapper, `network` all else. They share the archive and the ports.
+    """
+    part = settings.robots[name]
+    sensors = {} if part.sensor is None else {name: part.sensor}
+    run = plan({name: part.source}, settings.map.model_copy(update={"sensors": sensors}))
+    files = ExitStack()
+    archive = files.enter_context(open_partial(Path(part.store), run))
+    factor = settings.map.global_factor
+    share = part.share or (COARSE if factor > 1 else FINE)
+    port, handover, letters = ScanPort(), Handover(), Letterbox()
+    told = Told(archive, handover, MemoryStore(run.lattice.coarser(factor), run.model) if factor > 1 else None)
+    replica = _replica_file(files, Path(part.store), archive) if share == FINE else None
+    pace = _pace(part.bytes_per_s)
+    about = About(run.lattice, run.model)
+    whole = MemoryStore(run.lattice.coarser(factor), run.model) if share == COARSE and factor > 1 else None
+
+    def channels() -> Sequence[Channel]:
+        fine = Channel(FINE, replica, Held(archive, name, archive.unchanged))
+        return [fine] if told.coarse is None else [Channel(COARSE, whole, Held(told.coarse, name)), fine]
+
+    link = carrier(name)
+    specs = [
+        Spec("source", lambda: Source(run, name, port, part.realtime), thread="mapping"),
+        Spec("mapping", lambda: Mapping(run, name, archive, port, handover), thread="mapping"),
+        Spec(
+            EXCHANGE,
+            lambda: Exchange(
+                EXCHANGE, about, link, channels, pace, letters, supervisor.send, peers=settings.reported_to, told=told
+            ),
+            restarts=ALWAYS,
+        ),
+        *_common(
+            "terrafuse/robot-orchestration", lambda: supervisor, name, letters, settings.reported_to, pace.bytes_per_s
+        ),
+    ]
+    supervisor = Supervisor(specs)
+    return Node(name, supervisor, EXCHANGE, files)
+
+
+def _common(
+    contract: str,
+    supervisor: Callable[[], Supervisor],
+    node: str,
+    letters: Letterbox,
+    report_to: Sequence[str],
+    bytes_per_s: float,
+) -> list[Spec]:
+    """What every node has."""
+    return [
+        Spec(
+            DIRECTORY,
+            lambda: Directory(node, lambda: supervisor().statuses, letters, report_to, bytes_per_s),
+            restarts=ALWAYS,
+        ),
+        Spec(ORCHESTRATION, lambda: Orchestration(contract, supervisor), restarts=ALWAYS),
+    ]
+
+
+def _pace(bytes_per_s: float | None) -> CourierSettings:
+    """Messages wait for each other's acknowledgement: fast links take large ones."""
+    if bytes_per_s is None:
+        return CourierSettings(message_cells=MOST_CELLS)
+    cells = min(max(round(bytes_per_s * MESSAGE_S / CELL_BYTES), LEAST_CELLS), MOST_CELLS)
+    return CourierSettings(bytes_per_s=bytes_per_s, message_cells=cells)
+
+
+def open_map(path: Path, settings: FleetSettings) -> SqliteStore:
+    """The station's store: new, or the one that is there, which must be of the map that the settings say."""
+    lattice, model = _map_of(settings)
+    if not path.exists():
+        return SqliteStore.create(path, lattice, model)
+    store = SqliteStore.open(path)
+    if (store.map.model, store.map.lattice, store.model.settings()) != (model.name, lattice, model.settings()):
+        held = store.map
+        store.close()
+        raise StoreMismatch(
+            f"{path}: holds a map of {held.model}, cells of {held.resolution_m:g} m, tiles of {held.tile_m:g} m, "
+            f"{held.crs or 'a local frame'}, or with other settings; ask for the same, or choose another store"
+        )
+    return store
+
+
+def _map_of(settings: FleetSettings) -> tuple[Lattice, Model]:
+    about = settings.map
+    tile_m = about.tile_m or tile_for(about.resolution_m, about.global_factor)
+    lattice = Lattice(about.resolution_m, tile_m, about.crs)
+    lattice.coarser(about.global_factor)
+    return lattice, make_model(about.model, about.model_settings)
+
+
+def _coarse_file(files: ExitStack, path: Path, store: SqliteStore, factor: int) -> SqliteStore:
+    beside = path.with_name(f"{path.stem}.coarse.db")
+    return files.enter_context(_opened(beside, store.map.lattice.coarser(factor), store.model))
+
+
+def _replica_file(files: ExitStack, path: Path, archive: Store) -> SqliteStore:
+    beside = path.with_name(f"{path.stem}.replica.db")
+    return files.enter_context(_opened(beside, archive.map.lattice, archive.model))
+
+
+def _opened(path: Path, lattice: Lattice, model: Model) -> SqliteStore:
+    """A store that only holds what can be had again from others."""
+    return SqliteStore.open(path) if path.exists() else SqliteStore.create(path, lattice, model)
+
+
+def facts(node: Node) -> dict[str, Any]:
+    """What is left to say of a node when it ends."""
+    return {name: status.state for name, status in node.statuses.items()}

@@ -1,0 +1,128 @@
+"""Which services run where, as settings: a map, how nodes reach each other, a station, robots.
+
+A node is made of its part of these alone, so that the same file runs all in one process, a process a node, or spread
+over hosts: only which nodes are asked for differs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from terrafuse import strict_yaml
+from terrafuse.config import MapSettings, map_settings
+from terrafuse.errors import InputError
+from terrafuse.strict_yaml import Document
+
+NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
+STATION = "station"
+
+
+class Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class LinkPart(Part):
+    """How nodes reach each other."""
+
+    kind: Literal["memory", "zenoh"] = "zenoh"
+    """`memory`: all nodes are in one process."""
+    listen: tuple[str, ...] = ()
+    """Where the station waits for the others, like tcp/0.0.0.0:7447."""
+    connect: tuple[str, ...] = ()
+    """Where the others find it; the first that answers."""
+    keys: str | None = None
+    """A folder of keys; {node} in it is the node's name."""
+    insecure: bool = False
+    """No encryption, no identity."""
+
+
+class StationPart(Part):
+    name: str = Field(STATION, pattern=NAME)
+    store: str
+    """The file of its map."""
+    bytes_per_s: float | None = Field(None, gt=0)
+
+
+class RobotPart(Part):
+    source: str
+    """A log, or SCENARIO/ROBOT."""
+    store: str
+    """The file of its own map, which is its outbox, too."""
+    sensor: str | None = None
+    realtime: bool = False
+    share: Literal["coarse", "fine", "none"] | None = None
+    """Which map of the whole fleet the robot holds; None: the coarse one, where there is one, else the fine one."""
+    bytes_per_s: float | None = Field(None, gt=0)
+
+
+class FleetSettings(Part):
+    """The whole. `map` is what `terrafuse map` is told, too."""
+
+    map: MapSettings = Field(default_factory=map_settings)
+    link: LinkPart = LinkPart()
+    station: StationPart | None = None
+    stations: tuple[str, ...] = (STATION,)
+    """Whom robots report to, where no station is described here."""
+    robots: dict[str, RobotPart] = {}
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> FleetSettings:
+        if self.station is not None and self.station.name in self.robots:
+            raise ValueError(f"the station and a robot are both called '{self.station.name}'; names must differ")
+        return self
+
+    @property
+    def nodes(self) -> list[str]:
+        return [*([self.station.name] if self.station else []), *self.robots]
+
+    @property
+    def reported_to(self) -> tuple[str, ...]:
+        return (self.station.name,) if self.station else self.stations
+
+
+def load_fleet(path: Path | str) -> FleetSettings:
+    """Settings from a YAML file; files in it are relative to its folder. Raises InputError with the line."""
+    document = strict_yaml.load(path)
+    settings = _checked(document)
+    folder = Path(path).parent
+    station = settings.station and settings.station.model_copy(update={"store": _under(folder, settings.station.store)})
+    keys = settings.link.keys and _under(folder, settings.link.keys)
+    robots = {
+        name: robot.model_copy(
+            update={"store": _under(folder, robot.store), "source": _under(folder, robot.source, only_there=True)}
+        )
+        for name, robot in settings.robots.items()
+    }
+    link = settings.link.model_copy(update={"keys": keys})
+    return settings.model_copy(update={"station": station, "robots": robots, "link": link})
+
+
+def _checked(document: Document) -> FleetSettings:
+    if not isinstance(document.value, dict):
+        raise document.error((), f"holds no keys; give {', '.join(FleetSettings.model_fields)}; see docs/services.md")
+    try:
+        return FleetSettings.model_validate(document.value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        words = f"{first['msg'][:1].lower()}{first['msg'][1:]}"
+        raise document.error(first["loc"], f"{'.'.join(map(str, first['loc'])) or 'the file'}: {words}") from error
+
+
+def _under(folder: Path, text: str, only_there: bool = False) -> str:
+    """The path seen from the file's folder; of sources, which may be names of scenarios, only where that is there."""
+    path = folder / text
+    return text if only_there and not (folder / text.partition("?")[0]).exists() else str(path)
+
+
+def chosen(settings: FleetSettings, nodes: Sequence[str]) -> list[str]:
+    """The nodes to run here: those asked for, or all. Raises InputError for one that there is none of."""
+    for name in nodes:
+        if name not in settings.nodes:
+            raise InputError(f"no node '{name}'; there are {', '.join(settings.nodes)}")
+    if settings.link.kind == "memory" and nodes and set(nodes) != set(settings.nodes):
+        raise InputError("link kind 'memory' is for all nodes in one process; make it 'zenoh' to run some elsewhere")
+    return list(nodes) or settings.nodes

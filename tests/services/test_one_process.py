@@ -1,0 +1,143 @@
+"""A whole fleet in one process, over memory: its map is that of `terrafuse map`, whatever fails on the way."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from terrafuse import mapping
+from terrafuse.errors import InputError, StoreMismatch
+from terrafuse.replica import Replica
+from terrafuse.services.carriers import carrier
+from terrafuse.services.node import Node, make_node
+from terrafuse.services.run import run
+from terrafuse.services.service import Message
+from terrafuse.services.settings import FleetSettings
+from terrafuse.store.sqlite import SqliteStore
+
+
+def settings_of(logs: dict[str, Path], folder: Path, **about: object) -> FleetSettings:
+    return FleetSettings.model_validate({
+        "map": {"resolution_m": 0.2, **about},
+        "link": {"kind": "memory"},
+        "station": {"store": str(folder / "station.db")},
+        "robots": {name: {"source": str(log), "store": str(folder / f"{name}.db")} for name, log in logs.items()},
+    })  # fmt: skip
+
+
+def nodes_of(settings: FleetSettings) -> list[Node]:
+    carry = carrier(settings, lambda text: None)
+    return [make_node(settings, name, carry) for name in settings.nodes]
+
+
+def finished(nodes: list[Node], seconds: float = 60.0) -> None:
+    """Run to the end, but not without end."""
+    stop = threading.Event()
+    timer = threading.Timer(seconds, stop.set)
+    timer.start()
+    try:
+        assert run(nodes, stop), [node.statuses for node in nodes]
+    finally:
+        timer.cancel()
+
+
+def digest(store: Path, factor: int = 1) -> str:
+    with SqliteStore.open(store) as opened:
+        return Replica(store=opened, factor=factor).digest()
+
+
+def mapped_at_once(settings: FleetSettings, folder: Path, factor: int = 1) -> str:
+    """What `terrafuse map` makes of the same logs."""
+    plan = mapping.plan({name: part.source for name, part in settings.robots.items()}, settings.map)
+    with mapping.open_partial(folder / "map.partial.db", plan) as store:
+        mapping.map_logs(plan, store)
+        return Replica(store=store, factor=factor).digest()
+
+
+@pytest.mark.parametrize("factor", [1, 10])
+def test_the_fleets_map_is_that_of_map(logs: dict[str, Path], tmp_path: Path, factor: int) -> None:
+    settings = settings_of(logs, tmp_path, global_factor=factor)
+    finished(nodes_of(settings))
+    expected = mapped_at_once(settings, tmp_path)
+    assert digest(tmp_path / "station.db") == expected
+    if factor > 1:
+        coarse = mapped_at_once(settings, tmp_path, factor)
+        assert digest(tmp_path / "station.coarse.db") == coarse
+
+
+def test_a_finished_fleet_has_nothing_to_do(logs: dict[str, Path], tmp_path: Path) -> None:
+    settings = settings_of(logs, tmp_path)
+    finished(nodes_of(settings))
+    before = digest(tmp_path / "station.db")
+    nodes = nodes_of(settings)
+    finished(nodes)
+    assert digest(tmp_path / "station.db") == before
+    for node in nodes[1:]:
+        assert node.statuses["source"].state["resumed_scans"] == 40
+        assert node.statuses["mapping"].counts == {}
+
+
+def test_services_that_are_started_afresh_change_nothing(logs: dict[str, Path], tmp_path: Path) -> None:
+    """Each of a robot's, and the station's, again and again while all map."""
+    settings = settings_of(logs, tmp_path)
+    nodes = nodes_of(settings)
+    ended = threading.Event()
+
+    def disturb() -> None:
+        while not ended.wait(0.3):
+            for node in nodes:
+                for service in node.supervisor.names:
+                    contract = node.statuses["orchestration"].contract or "terrafuse/robot-orchestration/1"
+                    if service in ("source", "mapping", "exchange", "map-manager"):
+                        node.supervisor.send("orchestration", Message(contract, "restart", service.encode()))
+            if sum(node.statuses["mapping"].restarts for node in nodes[1:]) >= 6:
+                return
+
+    thread = threading.Thread(target=disturb)
+    thread.start()
+    try:
+        finished(nodes)
+    finally:
+        ended.set()
+        thread.join()
+    assert sum(status.restarts for node in nodes for status in node.statuses.values()) > 0
+    assert digest(tmp_path / "station.db") == mapped_at_once(settings, tmp_path)
+
+
+def test_what_is_stopped_goes_on(logs: dict[str, Path], tmp_path: Path) -> None:
+    settings = settings_of(logs, tmp_path)
+    nodes = nodes_of(settings)
+    stop = threading.Event()
+    threading.Timer(0.7, stop.set).start()
+    started = time.monotonic()
+    run(nodes, stop)
+    assert time.monotonic() - started < 0.7 + 2.0
+    finished(nodes_of(settings))
+    assert digest(tmp_path / "station.db") == mapped_at_once(settings, tmp_path)
+
+
+def test_a_robot_of_another_map_is_told(logs: dict[str, Path], tmp_path: Path) -> None:
+    settings = settings_of({"r1": logs["r1"]}, tmp_path)
+    other = settings_of({"r1": logs["r1"]}, tmp_path, resolution_m=0.4)
+    carry = carrier(settings, lambda text: None)
+    nodes = [make_node(settings, "station", carry), make_node(other, "r1", carry)]
+    with pytest.raises(InputError, match=r"'station' does not take this robot's map.*0\.4 m.*0\.2 m"):
+        finished(nodes)
+
+
+def test_a_station_keeps_to_its_map(logs: dict[str, Path], tmp_path: Path) -> None:
+    nodes = [make_node(settings_of({}, tmp_path), "station", carrier(settings_of({}, tmp_path), print))]
+    for node in nodes:
+        node.close()
+    other = settings_of({}, tmp_path, resolution_m=0.4)
+    with pytest.raises(StoreMismatch, match=r"station\.db: holds a map of elevation, cells of 0\.2 m"):
+        make_node(other, "station", carrier(other, print))
+
+
+def test_a_log_without_a_scan_is_an_error(tmp_path: Path, logs: dict[str, Path]) -> None:
+    settings = settings_of({"r1": logs["r1"]}, tmp_path, model_settings={"max_range_m": 0.001})
+    with pytest.raises(InputError, match="puts nothing on the map"):
+        finished(nodes_of(settings))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import socket
 import subprocess
 import sys
@@ -10,13 +11,17 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
+from typing import Any
 
+from terrafuse.exchange.courier import CourierSettings
 from terrafuse.exchange.links import Frame
 from terrafuse.exchange.links.transport import Transport
 from terrafuse.exchange.links.zenoh import ZenohLink
 
 LOOPBACK = "127.0.0.1"
 PATIENCE_S = 15.0
+TICK_S = 0.02
+SWIFT = CourierSettings(period_s=0.2, answer_s=0.05, retry_s=0.4, longest_retry_s=1.0, message_cells=200)
 
 
 def free_port() -> int:
@@ -121,19 +126,19 @@ class Process:
     def __init__(self, module: str, *arguments: str | Path) -> None:
         command = [sys.executable, "-m", module, *map(str, arguments)]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        self.line()
+        assert self.line() == "ready"
 
     def line(self) -> str:
         """Its next one."""
         assert self._process.stdout is not None
         return self._process.stdout.readline().rstrip("\n")
 
-    def ask(self, text: str) -> str:
-        """Tell it a line; its answer."""
+    def ask(self, text: str) -> Any:
+        """Tell it a line; its answer, of JSON."""
         assert self._process.stdin is not None
         self._process.stdin.write(text + "\n")
         self._process.stdin.flush()
-        return self.line()
+        return json.loads(self.line())
 
     def kill(self) -> None:
         """As the kernel does: without a word."""
@@ -142,3 +147,25 @@ class Process:
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
                 pipe.close()
+
+
+def heard(process: Process, topic: str) -> list[str]:
+    """Topics that came to a station, up to and with this one."""
+    topics: list[str] = []
+
+    def came() -> bool:
+        topics.extend(process.ask("topics"))
+        return topic in topics
+
+    until(came, topic)
+    return topics
+
+
+@contextmanager
+def station(name: str = "station", **settings: Any) -> Iterator[Process]:
+    """`zenoh_station` of this name and Transport, until the end."""
+    process = Process("tests.exchange.zenoh_station", name, json.dumps(settings, default=str))
+    try:
+        yield process
+    finally:
+        process.kill()

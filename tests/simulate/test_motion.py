@@ -131,6 +131,16 @@ def test_it_stops_at_a_wall_and_says_so() -> None:
     assert back.position_m[0, 0] < 4.3
 
 
+def test_what_came_into_its_place_it_can_leave_but_not_pass() -> None:
+    """A wall that came 10 cm into the disc at the origin: away from it, but no deeper into it."""
+    near = wall(BODY.radius_m - 0.1)
+    inside = one()
+    assert driven(inside, told(1.0), 10, near).position_m[0, 0] <= PROBE_M
+    left = driven(inside, told(-1.0), 20, near)
+    assert left.position_m[0, 0] < -0.5
+    assert not left.blocked[0]
+
+
 def test_where_there_is_no_ground_nobody_goes() -> None:
     ground = Ground(flat(Bounds(-5.0, -5.0, 5.0, 5.0)).height)
     state = until_blocked(one(ground), told(2.0), ground)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,10 +19,14 @@ if TYPE_CHECKING:
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout instead of text.")]
 Threads = Annotated[
-    int, typer.Option(min=1, help="Robots that sense and map at the same time; the result is the same.")
+    int,
+    typer.Option(
+        min=1, show_default="one a core", help="Robots that sense and map at the same time; the result is the same."
+    ),
 ]
 MOVES_MPS = 0.05
 """A robot that is faster moves."""
+MOST_THREADS = min(4, os.cpu_count() or 1)
 DEMO, DEMO_ROBOTS, DEMO_S = "village", 3, 120.0
 REDRAW_S = 0.2
 
@@ -38,7 +43,7 @@ def simulate(
     record: Annotated[
         bool, typer.Option("--record", help="Also write each robot's log, NAME.mcap, which 'terrafuse map' reads.")
     ] = False,
-    threads: Threads = 1,
+    threads: Threads = MOST_THREADS,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the map that is in the folder.")] = False,
     json: Json = False,
 ) -> None:
@@ -79,13 +84,11 @@ def demo(
     json: Json = False,
 ) -> None:
     """Watch three robots map a village: the shipped scenario 'village', cut short."""
-    import os
-
     from terrafuse.simulate.scenario import load_scenario, with_robots
     from terrafuse.simulate.scenario.read import changed
 
     loaded = with_robots(changed(load_scenario(DEMO), duration_s=duration), DEMO_ROBOTS)
-    report = _run(loaded, out, record=False, threads=min(2, os.cpu_count() or 1), overwrite=True)
+    report = _run(loaded, out, record=False, threads=MOST_THREADS, overwrite=True)
     if json:
         say_json(report)
         return

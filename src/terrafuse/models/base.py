@@ -238,8 +238,13 @@ def fold(model: Model, contributions: Sequence[Array], lattice: Lattice) -> Arra
     return np.asarray(fused)
 
 
-def _by_stamp(contributions: Sequence[Array]) -> Array:
+def _by_stamp(contributions: Sequence[Array]) -> Sequence[Array]:
     """(robots, M) cells, each column sorted by stamp; equal stamps keep the order of the names."""
-    stack = np.stack(contributions)
-    order = np.argsort(stack["stamp"], axis=0, kind="stable")
-    return np.take_along_axis(stack, order, axis=0)
+    stamps = np.stack([cells["stamp"] for cells in contributions])
+    wrong = np.flatnonzero((stamps[1:] < stamps[:-1]).any(axis=0))
+    if not len(wrong):
+        return contributions
+    order = np.argsort(stamps[:, wrong], axis=0, kind="stable")
+    sorted_ = np.stack([opaque(cells) for cells in contributions])
+    sorted_[:, wrong] = np.take_along_axis(sorted_[:, wrong], order, axis=0)
+    return list(sorted_.view(contributions[0].dtype))

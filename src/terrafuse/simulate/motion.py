@@ -169,11 +169,16 @@ def placed(ground: Ground, body: Body, xy_m: ArrayLike, yaw_rad: ArrayLike) -> S
     still = np.zeros(len(yaw))
     on_ground = np.column_stack([xy, _heights(ground, xy)])
     state = State(on_ground, yaw, still, still, still, still, still, still.astype(bool))
-    heights_m, blocked = _around(ground, body, xy[:, None])
-    for robot in np.flatnonzero((blocked | ~np.isfinite(heights_m)).any(axis=(1, 2))):
+    for robot in np.flatnonzero(in_the_way(ground, body, xy)):
         raise InputError(f"robot {robot} at {tuple(xy[robot].tolist())}: something is in its place; choose a free one")
     _, roll, pitch, _ = body.carriage.settle(ground, xy, state, yaw, still, 0.0)
     return State(on_ground, yaw, roll, pitch, still, still, still, still.astype(bool))
+
+
+def in_the_way(ground: Ground, body: Body, xy_m: ArrayLike) -> Array:
+    """(N,) how many of the points on the rim of robots at xy (N, 2), and their centre, are in something."""
+    heights_m, blocked = _around(ground, body, np.asarray(xy_m, np.float64).reshape(-1, 1, 2))
+    return np.asarray((blocked | ~np.isfinite(heights_m)).sum(axis=(1, 2)))
 
 
 def step(state: State, command: Command, dt_s: float, ground: Ground, body: Body) -> State:
@@ -222,12 +227,15 @@ def _arc(state: State, forward_m: Floats, turn_rad: Floats) -> Floats:
 
 
 def _last_free(ground: Ground, body: Body, state: State, places: Floats) -> Array:
-    """(N,) the last of each robot's places (N, S, 2) before one that is not free; the first is where it is."""
-    heights_m, blocked = _around(ground, body, places[:, 1:])
+    """(N,) the last of each robot's places (N, S, 2) before one that is less free than the first, where it is."""
     z_m = state.position_m[:, 2][:, None, None]
-    stands = (blocked | ~body.carriage.passable(heights_m, z_m)).any(axis=2)
+    heights_m, blocked = _around(ground, body, places)
+    touching = blocked.sum(axis=2)
+    # What came into its place, it may leave: no more of it than now may be in something.
+    stands = touching[:, 1:] > touching[:, :1]
     # A robot that only turns is as free as it was.
-    stands &= (places[:, 1:] != places[:, :1]).any(axis=2)
+    moves = (places[:, 1:] != places[:, :1]).any(axis=2)
+    stands |= moves & ~body.carriage.passable(heights_m[:, 1:], z_m).all(axis=2)
     return np.asarray(np.where(stands.any(axis=1), stands.argmax(axis=1), stands.shape[1]))
 
 

@@ -52,12 +52,19 @@ SHAPES: dict[str, tuple[Part, ...]] = {
 
 def body(shape: str | Sequence[Part], x_m: float, y_m: float, z_m: float, yaw_rad: float) -> Array:
     """(K,) BODY of a shape that stands upright at (x, y), its z = 0 at `z_m`, turned from east to north."""
-    return _place(_parts(shape), x_m, y_m, z_m, yaw_rad)
+    return all_of([shape], np.array([[x_m, y_m, z_m, yaw_rad]]))
+
+
+def all_of(shapes: Sequence[str | Sequence[Part]], places: Floats) -> Array:
+    """(K,) BODY of several such bodies; of each shape a row (x, y, z, yaw) of `places`."""
+    tables = [_parts(shape) for shape in shapes]
+    return _place(bodies(tables), places.repeat([len(table) for table in tables], axis=0))
 
 
 def bodies(parts: Iterable[Array]) -> Array:
     """All of these as one array of BODY."""
-    return np.concatenate([NO_BODIES, *parts])
+    # As bytes: NumPy takes far longer to agree with itself on the fields' types.
+    return np.frombuffer(bytearray(b"".join(part.tobytes() for part in parts)), BODY)
 
 
 def _parts(shape: str | Sequence[Part]) -> Array:
@@ -74,14 +81,16 @@ def _table(parts: tuple[Part, ...]) -> Array:
     return np.array(rows, BODY)
 
 
-def _place(parts: Array, x_m: float, y_m: float, z_m: float, yaw_rad: float) -> Array:
-    out, c, s = parts.copy(), math.cos(yaw_rad), math.sin(yaw_rad)
-    out["x"] = x_m + c * parts["x"] - s * parts["y"]
-    out["y"] = y_m + s * parts["x"] + c * parts["y"]
-    out["bottom"] += z_m
-    out["top"] += z_m
-    out["cos"], out["sin"] = c, s
-    return out
+def _place(parts: Array, places: Floats) -> Array:
+    """Parts (K,), each in the frame of its body, moved to the body's place (K, 4); in place."""
+    x_m, y_m, z_m, yaw_rad = places.T
+    c, s, ahead, aside = np.cos(yaw_rad), np.sin(yaw_rad), parts["x"].copy(), parts["y"].copy()
+    parts["x"] = x_m + c * ahead - s * aside
+    parts["y"] = y_m + s * ahead + c * aside
+    parts["bottom"] += z_m
+    parts["top"] += z_m
+    parts["cos"], parts["sin"] = c, s
+    return parts
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ import numpy as np
 from terrafuse.errors import InputError
 from terrafuse.simulate.blocks import Block
 from terrafuse.simulate.houses import House, Wall, house_blocks, wall_blocks
-from terrafuse.simulate.movers import Mover, bodies, body
+from terrafuse.simulate.movers import Mover, all_of
 from terrafuse.simulate.regions import StaticLayer, checked_layer
 from terrafuse.simulate.streets import NO_STREETS, Streets
 from terrafuse.simulate.terrain import Terrain
@@ -66,8 +66,9 @@ class World:
         """(K,) BODY of what moves, as it stands on the ground at a time."""
         places = [(mover.shape, mover.route.at(time_s)) for mover in self.movers]
         there = [(shape, place) for shape, place in places if place is not None]
-        heights = self.terrain.height(*np.array([place[:2] for _, place in there]).reshape(-1, 2).T).tolist()
-        return bodies(body(shape, x, y, z, yaw) for (shape, (x, y, yaw)), z in zip(there, heights, strict=True))
+        x_m, y_m, yaw_rad = np.array([place for _, place in there], np.float64).reshape(-1, 3).T
+        heights_m = self.terrain.height(x_m, y_m)
+        return all_of([shape for shape, _ in there], np.column_stack([x_m, y_m, heights_m, yaw_rad]))
 
 
 def digest(world: World) -> str:

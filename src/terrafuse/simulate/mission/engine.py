@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -47,9 +48,13 @@ from terrafuse.window import make_window
 
 START_NS: Stamp = 1_767_225_600 * 10**9
 """2026-01-01 UTC: when simulated time is 0."""
+SHORT_TURNS_S = 2e-4
+"""Robots' steps are short loops in between of which they need Python's lock: a turn of 5 ms makes two threads as slow
+as one."""
 SIGHT_M = 55.0
 """How far down a side street a patrol sees in passing."""
 
+Result = TypeVar("Result")
 Watcher = Callable[["Mission"], None]
 """Called after each tick."""
 
@@ -101,7 +106,7 @@ class Mission:
         """To the end of the scenario's duration, or until a watcher calls `stop`. The same whatever the threads."""
         self._stopped = False
         ticks = round(self.scenario.duration_s / self.scenario.tick_s)
-        with self._files, ThreadPoolExecutor(threads) as pool:
+        with self._files, _turns_s(SHORT_TURNS_S if threads > 1 else None), ThreadPoolExecutor(threads) as pool:
             while self._tick < ticks and not self._stopped:
                 self._step(pool if threads > 1 else None)
                 for watch in watchers:
@@ -123,8 +128,9 @@ class Mission:
         for vehicle in self.vehicles:
             vehicle.exchange(stamp_ns)
         self.station.tick(stamp_ns)
-        drives = {vehicle.number: vehicle.decide(self.now_s) for vehicle in self.vehicles}
-        self.fleet.step(drives, self.scenario.tick_s, moving)
+        drives = self._each(lambda vehicle: vehicle.decide(self.now_s), pool)
+        numbered = {vehicle.number: drive for vehicle, drive in zip(self.vehicles, drives, strict=True)}
+        self.fleet.step(numbered, self.scenario.tick_s, moving)
         self._tick += 1
         self.now_s = self._tick * self.scenario.tick_s
 
@@ -138,11 +144,11 @@ class Mission:
             own = next(iter(pings[vehicle.number]), None)
             vehicle.sense(self.fleet, Around(self.caster, stamp_ns, bodies([moving, *others]), heard), stamp_ns, own)
 
-        if pool is None:
-            for vehicle in self.vehicles:
-                sense(vehicle)
-        else:
-            list(pool.map(sense, self.vehicles))
+        self._each(sense, pool)
+
+    def _each(self, act: Callable[[Vehicle], Result], pool: ThreadPoolExecutor | None) -> list[Result]:
+        """What each vehicle does by itself, of its own and of what nobody changes meanwhile."""
+        return [act(vehicle) for vehicle in self.vehicles] if pool is None else list(pool.map(act, self.vehicles))
 
     def _check_waypoints(self) -> None:
         """Raise InputError, with its line, for the first waypoint that no way leads to on the ground."""
@@ -242,6 +248,17 @@ class Mission:
         routes = patrol(streets.nodes_m, streets.edges, near, SIGHT_M, LANE * streets.width_m)
         for vehicle, route in zip(waiting, routes, strict=True):
             self.station.order(vehicle.name, ROUTE, route.round(3).tolist())
+
+
+@contextmanager
+def _turns_s(seconds: float | None) -> Iterator[None]:
+    """How long a thread may keep others from Python's lock, meanwhile."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(seconds or before)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before)
 
 
 def lattice_of(loaded: Loaded) -> Lattice:

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from terrafuse.errors import InputError
 from terrafuse.simulate.mission.surface import Surface
-from terrafuse.simulate.motion import BODIES, Body, Command, Ground, Rotors, State, placed, step
+from terrafuse.simulate.motion import BODIES, Body, Command, Ground, Rotors, State, in_the_way, placed, step
 from terrafuse.simulate.movers import bodies, body
 from terrafuse.simulate.world import World
 from terrafuse.types import Array, Floats, Pose
@@ -108,11 +107,12 @@ class Fleet:
     def step(self, drives: Mapping[int, Drive], dt_s: float, moving: Array) -> None:
         """All move on by `dt_s`; `moving` (K,) BODY is what else moves. A robot without a drive brakes."""
         others, before = self.bodies(), [group.state for group in self._groups]
+        touching = {number: self._touching(number) for number in self._near_others()}
         commands = [_command([drives.get(number, Drive()) for number in group.numbers]) for group in self._groups]
         for group, command in zip(self._groups, commands, strict=True):
             if group.motion == KINEMATIC:
                 group.state = step(group.state, command, dt_s, self._ground(group, others, moving), group.kind)
-        self._keep_apart(before)
+        self._keep_apart(before, touching)
         if self._physics is not None:
             told = {g.body: command for g, command in zip(self._groups, commands, strict=True) if g.motion == PHYSICS}
             states = self._physics.step(told, dt_s, self._time_s)
@@ -120,12 +120,12 @@ class Fleet:
                 group.state = states[group.body] if group.motion == PHYSICS else group.state
         self._time_s += dt_s
 
-    def _keep_apart(self, before: Sequence[State]) -> None:
-        """Each avoided where the others were before the step. Of two that are in each other now, the first goes back to
-        where it was itself: nobody came there."""
+    def _keep_apart(self, before: Sequence[State], touching: Mapping[int, int]) -> None:
+        """Each avoided where the others were before the step. Of two that are in each other now, more than they were,
+        the first goes back to where it was itself: nobody came there."""
         for number in self._near_others():
             group, row = self._where[number]
-            if group.motion == KINEMATIC and self._meets(number):
+            if group.motion == KINEMATIC and self._touching(number) > touching.get(number, 0):
                 was = next(state for one, state in zip(self._groups, before, strict=True) if one is group)
                 group.state = _put_back(group.state, was, row)
 
@@ -137,17 +137,14 @@ class Fleet:
         np.fill_diagonal(apart, np.inf)
         return [int(number) for number in np.flatnonzero(apart.min(axis=1) < 0)]
 
-    def _meets(self, number: int) -> bool:
-        """Whether a robot on wheels is where another is."""
-        kind, (x, y, _) = self.kind(number), self.position_m(number).tolist()
+    def _touching(self, number: int) -> int:
+        """How much of a robot on wheels is in others."""
+        kind = self.kind(number)
         if isinstance(kind.carriage, Rotors):
-            return False
+            return 0
         others = [one for other, one in enumerate(self.bodies()) if other != number]
-        try:
-            placed(self._surface.for_wheels([bodies(others)]), kind, [[x, y]], [self.angles_rad(number)[2]])
-        except InputError:
-            return True
-        return False
+        ground = self._surface.for_wheels([bodies(others)])
+        return int(in_the_way(ground, kind, self.position_m(number)[:2])[0])
 
     def _engine(self, world: World) -> Physics | None:
         """One for all robots with physics, which run into each other, too; to those without, they are as air."""

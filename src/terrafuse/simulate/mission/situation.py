@@ -88,7 +88,10 @@ def echoes_of(points_m: Floats, T_base_sensor: Pose, reach_m: float) -> Floats:
 def obstacles_of(points_m: Floats, T_base_sensor: Pose, reach_m: float) -> Floats:
     """(K, 2): of a scan's points, in the sensor's frame, those at the height of a robot's body within reach."""
     matrix = T_base_sensor.matrix
-    x, y, z = (points_m @ matrix[:3, :3].T + matrix[:3, 3]).T
+    # Most are far away: those need not be turned.
+    far_m = reach_m + HIGH_M + float(np.linalg.norm(matrix[:3, 3]))
+    near = np.flatnonzero(np.einsum("ij,ij->i", points_m, points_m) < far_m**2)
+    x, y, z = (points_m.take(near, axis=0) @ matrix[:3, :3].T + matrix[:3, 3]).T
     distance = np.hypot(x, y)
     found = (distance < reach_m) & (z > LOW_M + RISING * distance) & (z < HIGH_M)
     return np.column_stack([x[found], y[found]])

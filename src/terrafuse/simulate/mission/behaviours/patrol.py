@@ -68,6 +68,8 @@ class Patrol:
         self._next_check_s = 0.0
         self._waits_since_s: float | None = None
         self._back_until_s = 0.0
+        # Of two that wait for each other, one gives way first.
+        self._patience_s = settings.patience_s * float(rng.uniform(0.75, 1.5))
 
     def facts(self) -> dict[str, Any]:
         return dict(self.counts) | {"goals_left": len(self._goals)}
@@ -187,7 +189,7 @@ class Patrol:
             return Drive(min(speed_mps, most), yaw_rate_radps)
         if self._waits_since_s is None:
             self._waits_since_s = me.now_s
-        elif me.now_s - self._waits_since_s > self.settings.patience_s:
+        elif me.now_s - self._waits_since_s > self._patience_s:
             self._waits_since_s = None
             self._back_until_s = me.now_s + 1.5
             self.counts["detours"] += 1

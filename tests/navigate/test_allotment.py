@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from terrafuse.errors import InputError
-from terrafuse.navigate.allotment import Visit, allot, least_longest_m, patrol
+from terrafuse.navigate.allotment import Visit, allot, along, least_longest_m, nearest_takes, patrol
 from terrafuse.navigate.street_net import street_distances
 from terrafuse.simulate.streets import Streets
 from terrafuse.simulate.worlds import village
@@ -185,3 +185,14 @@ def test_what_the_page_shows_runs() -> None:
 def test_patrols_begin_where_robots_are() -> None:
     ways = patrol(LINE_M, LINE, [3, 1, 1, 1], 55.0)
     assert [way[0].tolist() for way in ways] == [[300, 0], [100, 0], [100, 0], [100, 0]]
+
+
+def test_of_routes_from_one_place_each_goes_to_who_stands_nearest_to_its_beginning() -> None:
+    """Routes to the east and to the north from node 0, and one from node 1: who stands in the east goes east."""
+    east, north, other = (
+        np.array(way, float) for way in ([[0, 0], [50, 0]], [[0, 0], [0, 9], [0, 50]], [[9, 9], [0, 0]])
+    )
+    taken = nearest_takes([north, east, other], [0, 0, 1], np.array([[14.0, 1.0], [1.0, 2.0], [14.0, 0.0]]))
+    assert [way is one for way, one in zip(taken, [east, north, other], strict=True)] == [True] * 3
+    assert along(north, 15.0).tolist() == [0.0, 15.0]
+    assert along(north[:1], 15.0).tolist() == [0.0, 0.0]

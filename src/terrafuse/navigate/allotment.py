@@ -22,6 +22,8 @@ NEAREST = 12
 FAR_MM = 10**12
 """What no way leads to is so far away: further than any way, and still to be counted."""
 GAP_M = 20.0
+FIRST_M = 15.0
+"""Of a route: by then it has left its start."""
 SEED = 0x9E3779B97F4A7C15
 
 
@@ -40,6 +42,28 @@ def patrol(
     return [
         waypoints(places, way(next_hop, [start, *route]), right_m) for start, route in zip(starts, routes, strict=True)
     ]
+
+
+def nearest_takes(routes: Sequence[Floats], starts: Sequence[int], places_m: Floats) -> list[Floats]:
+    """The same routes, each of those from one start node to the robot that stands nearest to its first leg, so that
+    nobody has to pass the others. `places_m` (robots, 2)."""
+    out = list(routes)
+    for start in sorted(set(starts)):
+        robots = [robot for robot, own in enumerate(starts) if own == start]
+        first = np.array([along(routes[robot], FIRST_M) for robot in robots])
+        apart = np.linalg.norm(places_m[robots][:, None] - first, axis=2)
+        for _ in robots:
+            row, column = np.unravel_index(int(apart.argmin()), apart.shape)
+            out[robots[row]] = routes[robots[column]]
+            apart[row], apart[:, column] = np.inf, np.inf
+    return out
+
+
+def along(route_m: Floats, way_m: float) -> Floats:
+    """(2,): where a route (K, 2) has come to after so much of its way, or ends."""
+    legs_m = np.linalg.norm(np.diff(route_m, axis=0), axis=1)
+    reached_m = np.concatenate([[0.0], np.cumsum(legs_m)])
+    return np.array([np.interp(way_m, reached_m, column) for column in route_m.T])
 
 
 def allot(distances: Floats, starts: Sequence[int], visits: Sequence[Visit]) -> list[list[int]]:

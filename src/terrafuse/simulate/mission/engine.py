@@ -18,7 +18,7 @@ from terrafuse.lattice import Lattice, default_tile_m
 from terrafuse.logs.recorder import McapRecorder
 from terrafuse.mapper import Mapper
 from terrafuse.models import make_model
-from terrafuse.navigate.allotment import patrol
+from terrafuse.navigate.allotment import nearest_takes, patrol
 from terrafuse.sense import Sensor, load_sensor
 from terrafuse.sense.describe import described
 from terrafuse.simulate.mission.behaviours import BEHAVIOURS, Behaviour
@@ -244,9 +244,10 @@ class Mission:
             raise self.loaded.error(
                 ("robots",), "a patrol needs streets, or waypoints_m of its own; this world has none"
             )
-        near = [int(np.hypot(*(streets.nodes_m - self.fleet.position_m(v.number)[:2]).T).argmin()) for v in waiting]
+        places_m = np.array([self.fleet.position_m(v.number)[:2] for v in waiting])
+        near = [int(np.hypot(*(streets.nodes_m - place_m).T).argmin()) for place_m in places_m]
         routes = patrol(streets.nodes_m, streets.edges, near, SIGHT_M, LANE * streets.width_m)
-        for vehicle, route in zip(waiting, routes, strict=True):
+        for vehicle, route in zip(waiting, nearest_takes(routes, near, places_m), strict=True):
             self.station.order(vehicle.name, ROUTE, route.round(3).tolist())
 
 

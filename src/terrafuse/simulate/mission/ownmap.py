@@ -67,9 +67,9 @@ class LiveStore:
         return self._keys[robot][1]
 
 
-def live(mappers: Sequence[Mapper], prior: Store | None = None) -> Replica:
-    """The map that these mappers and the prior make together, at each moment."""
-    return Replica(store=LiveStore(mappers, prior))  # type: ignore[arg-type]
+def live(mappers: Sequence[Mapper], prior: Store | None = None, factor: int = 1) -> Replica:
+    """The map that these mappers and the prior make together, at each moment, coarsened by `factor`."""
+    return Replica(store=LiveStore(mappers, prior), factor=factor)  # type: ignore[arg-type]
 
 
 class OwnMap:

@@ -10,7 +10,7 @@ from terrafuse import views
 from terrafuse.models.layers import layers_of
 from terrafuse.simulate import truth
 from terrafuse.simulate.mission.engine import Mission
-from terrafuse.simulate.mission.measures import error_facts, without_prior
+from terrafuse.simulate.mission.measures import Truth, error_facts, without_prior
 from terrafuse.types import Array, Floats
 
 RARELY = 6
@@ -34,7 +34,7 @@ class Timeline:
         self._streets = truth.streets(mission.world, lattice, self._window)
         self._has_heights = "height" in layers_of(mission.model)
         if self._has_heights:
-            self._height, self._houses = _coarse_truth(mission, self._window)
+            self._height, self._houses = coarse_truth(mission, self._window)
 
     def __call__(self, mission: Mission) -> None:
         if mission.now_s + 1e-9 < self._next_s:
@@ -90,12 +90,20 @@ class Timeline:
         return out
 
 
-def _coarse_truth(mission: Mission, window: views.CellWindow) -> tuple[Floats, Array]:
+def coarse_truth(mission: Mission, window: views.CellWindow) -> tuple[Floats, Array]:
     """Mean true height of each coarse cell, and which are a building's."""
     k = mission.scenario.map.global_factor
+    known = Truth(mission.world, mission.lattice, finer(window, k))
+    return blocks(known.height, k).mean(axis=(1, 3)), blocks(known.houses, k).mean(axis=(1, 3)) >= HOUSE_SHARE
+
+
+def finer(window: views.CellWindow, k: int) -> views.CellWindow:
+    """The same window in cells a k-th as large."""
     i0, j0, i1, j1 = window
-    fine = (i0 * k, j0 * k, i1 * k, j1 * k)
-    shape = (j1 - j0, k, i1 - i0, k)
-    height = truth.height(mission.world, mission.lattice, fine).reshape(shape).mean(axis=(1, 3))
-    houses = truth.footprints(mission.world, mission.lattice, fine).reshape(shape).mean(axis=(1, 3))
-    return height, houses >= HOUSE_SHARE
+    return i0 * k, j0 * k, i1 * k, j1 * k
+
+
+def blocks(values: Array, k: int) -> Array:
+    """(H, W) values as (H/k, k, W/k, k): of each coarse cell those within."""
+    rows, columns = values.shape
+    return values.reshape(rows // k, k, columns // k, k)

@@ -111,12 +111,12 @@ def _comers(free: list[Bay], rng: np.random.Generator) -> list[Mover]:
 
 
 def _passers(rng: np.random.Generator) -> list[Mover]:
-    """Cars that go round and round."""
+    """Cars that come in by the gate, find nothing that they like on a way round, and leave within a minute."""
     (west, east), (south, _, north) = RING_X_M, LANES_M
-    nodes = [(west, south), (east, south), (east, north), (west, north), (west, south)]
-    ring = offset_loop(np.array(nodes), RIGHT_M)
-    starts = -rng.uniform(0, 60, PASSING)
-    return [Mover(f"passer {k}", "car", drive(ring, 4.0, float(s), repeats=True)) for k, s in enumerate(starts)]
+    gate, corner = (BOUNDS.west + 1.0, north), (west, north)
+    ring = offset_loop(np.array([gate, corner, (west, south), (east, south), (east, north), corner, gate]), RIGHT_M)
+    starts = -rng.uniform(-5, 40, PASSING)
+    return [Mover(f"passer {k}", "car", drive(ring, 4.0, float(s))) for k, s in enumerate(starts)]
 
 
 def _walkers(rng: np.random.Generator) -> list[Mover]:

@@ -6,15 +6,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
+import numpy as np
+
+from terrafuse.models.layers import layers_of
+from terrafuse.replica import Replica
 from terrafuse.simulate.mission.engine import Mission
-from terrafuse.simulate.mission.measures import Truth, error_facts, height_errors, truth_of
+from terrafuse.simulate.mission.measures import Truth, error_facts, height_errors
 from terrafuse.simulate.mission.ownmap import live
 from terrafuse.simulate.mission.tables import Cell, Table
-from terrafuse.simulate.mission.timeline import Timeline
+from terrafuse.simulate.mission.timeline import Timeline, blocks, coarse_truth, finer
 from terrafuse.simulate.mission.vehicle import Vehicle
 from terrafuse.simulate.scenario import Loaded, with_robots
 from terrafuse.simulate.scenario.read import changed
+from terrafuse.types import Array
+from terrafuse.views import mosaic
 
 STAGES_OF_PAPER: dict[str, tuple[int, int, int]] = {
     "collision points": (55, 55, 70),
@@ -68,33 +75,61 @@ def _stage_ms(mission: Mission, vehicle: Vehicle) -> dict[str, float]:
 
 
 class Heights:
-    """A watcher: every so often, how far the robots' fused fine map is from the true heights of the buildings."""
+    """A watcher: every so often, how far the robots' fused map is from the true heights of the buildings, in the HRM's
+    cells and in the GLRM's."""
 
     def __init__(self, mission: Mission) -> None:
         self.rows: list[tuple[Cell, ...]] = []
-        self._known: Truth = truth_of(mission.world, mission.lattice)
-        self._next_s = SAMPLE_S
+        window = mission.coarse_lattice.cell_window(mission.world.bounds)
+        self._factor = mission.scenario.map.global_factor
+        self._known = Truth(mission.world, mission.lattice, finer(window, self._factor))
+        self._coarse_m, self._coarse_houses = coarse_truth(mission, window)
+        self._window = window
+        self._next_s = 0.0
 
     def __call__(self, mission: Mission) -> None:
         if mission.now_s + 1e-9 < self._next_s:
             return
         self._next_s += SAMPLE_S
-        self.sample(mission)
+        if mission.now_s >= 1:
+            self.sample(mission)
 
     def sample(self, mission: Mission) -> None:
-        seen = live([vehicle.mapper for vehicle in mission.vehicles])
-        errors = height_errors(seen, self._known)
-        facts = error_facts(errors, self._known.houses)
-        streets = error_facts(errors, self._known.streets)
-        self.rows.append((round(mission.now_s, 1), facts["cells"], facts["rmse_m"], facts["bias_m"], streets["rmse_m"]))
+        mappers = [vehicle.mapper for vehicle in mission.vehicles]
+        errors = height_errors(live(mappers), self._known)
+        facts, streets = (error_facts(errors, where) for where in (self._known.houses, self._known.streets))
+        coarse, faultless = self._coarse(live(mappers, factor=self._factor)), self._faultless(np.isfinite(errors))
+        self.rows.append((
+            round(mission.now_s, 1), facts["cells"], facts["rmse_m"], facts["bias_m"], facts["median_abs_m"],
+            streets["rmse_m"], coarse["cells"], coarse["rmse_m"], faultless["rmse_m"],
+        ))  # fmt: skip
+
+    def _coarse(self, replica: Replica) -> dict[str, Any]:
+        layer = layers_of(replica.model)["height"]
+        errors = mosaic(replica, [layer], self._window)[layer.name] - self._coarse_m
+        return error_facts(errors, self._coarse_houses)
+
+    def _faultless(self, seen: Array) -> dict[str, Any]:
+        """Of a map that has the true height in each cell that was seen: what lacks is the roofs that nobody sees."""
+        parts, counts = blocks(seen, self._factor), blocks(seen, self._factor).sum(axis=(1, 3))
+        sums = np.where(parts, blocks(self._known.height, self._factor), 0.0).sum(axis=(1, 3))
+        means = np.divide(sums, counts, out=np.full(sums.shape, np.nan), where=counts > 0)
+        return error_facts(means - self._coarse_m, self._coarse_houses)
 
     def table(self) -> Table:
+        some = [self.rows[k] for k in sorted({round(k * (len(self.rows) - 1) / 19) for k in range(20)})]
         return Table(
-            "Heights of what was seen, in the HRM's cells",
-            ("simulated s", "building cells", "RMSE, m", "bias, m", "streets RMSE, m"),
-            tuple(self.rows),
-            "Against the true height at each cell's centre; of what robots saw, without the prior's guess.",
-        )
+            "Heights of what was seen",
+            (
+                "simulated s", "building cells", "RMSE, m", "bias, m", "median, m", "streets RMSE, m",
+                "building cells of the GLRM", "their RMSE, m", "of a faultless HRM, m",
+            ),
+            tuple(some if self.rows else ()),
+            "Of what robots saw, without the prior's guess. HRM: against the true height at each cell's centre. GLRM: "
+            "cells that are a building's by half or more, against the mean of the true heights within. Robots on the "
+            "street see walls and eaves and hardly a roof, so a GLRM cell is the mean of a part of its ground. A "
+            "faultless HRM has the true height in each cell that was seen, and errs by this part alone.",
+        )  # fmt: skip
 
 
 def growth_table(timeline: Timeline) -> Table:

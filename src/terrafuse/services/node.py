@@ -22,6 +22,7 @@ from terrafuse.services.mapping import Mapping
 from terrafuse.services.ports import Handover, Letterbox, ScanPort
 from terrafuse.services.service import DONE, Status
 from terrafuse.services.settings import FleetSettings
+from terrafuse.services.simulated import source_text
 from terrafuse.services.source import Source
 from terrafuse.services.supervise import Orchestration, Restarts, Spec, Supervisor
 from terrafuse.store.base import Store
@@ -101,7 +102,7 @@ def robot(settings: FleetSettings, name: str, carrier: Carrier) -> Node:
     """
     part = settings.robots[name]
     sensors = {} if part.sensor is None else {name: part.sensor}
-    run = plan({name: part.source}, settings.map.model_copy(update={"sensors": sensors}))
+    run = plan({name: source_text(part.source)}, settings.map.model_copy(update={"sensors": sensors}))
     files = ExitStack()
     archive = files.enter_context(open_partial(Path(part.store), run))
     factor = settings.map.global_factor

@@ -104,13 +104,18 @@ class Mission:
 
     def run(self, watchers: Sequence[Watcher] = (), threads: int = 1) -> None:
         """To the end of the scenario's duration, or until a watcher calls `stop`. The same whatever the threads."""
+        for _ in self.steps(threads):
+            for watch in watchers:
+                watch(self)
+
+    def steps(self, threads: int = 1) -> Iterator[None]:
+        """The same, tick by tick, as they are asked for."""
         self._stopped = False
         ticks = round(self.scenario.duration_s / self.scenario.tick_s)
         with self._files, _turns_s(SHORT_TURNS_S if threads > 1 else None), ThreadPoolExecutor(threads) as pool:
             while self._tick < ticks and not self._stopped:
                 self._step(pool if threads > 1 else None)
-                for watch in watchers:
-                    watch(self)
+                yield
         for vehicle in self.vehicles:
             vehicle.mapper.commit()
 

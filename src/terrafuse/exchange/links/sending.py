@@ -39,9 +39,10 @@ class SendQueue:
             return frame
 
     def clear(self) -> int:
-        """Drop all; how many."""
+        """Drop all, and let who waits go; how many were dropped."""
         with self._changed:
             dropped = len(self._waiting)
             self._waiting.clear()
             self._bytes = 0
+            self._changed.notify_all()
             return dropped

@@ -38,7 +38,8 @@ class Transport:
     buffer_bytes: int = 65_536
     """Of a socket. What lies there can't be overtaken: take a second's worth on a thin link."""
     hung_s: float = 10.0
-    """A connection is given up when nothing, not even a sign of life, came for so long."""
+    """Others give a connection to this node up when nothing came of it for so long, not even a sign of life. How long
+    this node waits for them is theirs to say: set it at both ends."""
 
     def __post_init__(self) -> None:
         for name in ("listen", "connect"):

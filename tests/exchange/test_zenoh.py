@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -14,7 +15,8 @@ from terrafuse.exchange.links.topics import key_of, topic_of
 from terrafuse.exchange.links.transport import Address, Transport, address
 from terrafuse.exchange.links.zenoh import ZenohLink
 from terrafuse.testing.links import LinkTests
-from tests.exchange.zenoh_nodes import LOOPBACK, free_port, joining, until
+from terrafuse.testing.relay import Mishaps, Relay
+from tests.exchange.zenoh_nodes import LOOPBACK, collected, free_port, joining, until
 
 
 def plain(**settings: object) -> Transport:
@@ -162,3 +164,24 @@ def test_an_inbox_that_nobody_empties_is_bounded(here: str) -> None:
     assert len(station.receive(0)) == 10
     for link in (robot, station):
         link.close()
+
+
+def test_one_hung_robot_keeps_neither_others_nor_the_end_waiting(here: str) -> None:
+    """What is sent past it arrives elsewhere; a station that leaves does so, and another listens in its place."""
+    station = ZenohLink("station", plain(listen=here))
+    with Relay(here.removeprefix("tcp/"), Mishaps(stall=1.0, within_s=0.5)) as relay:
+        hung, well = (ZenohLink(name, plain(connect=at)) for name, at in (("r1", relay.address), ("r2", here)))
+        for robot in (hung, well):
+            robot.listen("x")
+        until(lambda: relay.counts["stalled"] == 1 and station.nodes() == ["r1", "r2"], "a hung robot")
+        for k in range(100):
+            station.send("x", bytes(50_000) + bytes([k]), 0)
+            frames = collected(well, lambda frames: len(frames) == 1)
+            assert frames[0].payload[-1] == k
+        leaving = threading.Thread(target=station.close, daemon=True)
+        leaving.start()
+        leaving.join(5.0)
+        assert not leaving.is_alive()
+        ZenohLink("station", plain(listen=here)).close()
+        for robot in (hung, well):
+            robot.close()

@@ -15,6 +15,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from terrafuse.errors import InputError, MissingExtra, TerrafuseError
@@ -33,7 +34,7 @@ FIRST_S = 5.0
 PAUSE_S, LONGEST_PAUSE_S = 0.2, 2.0
 LOOK_S = 0.2
 """How often the thread looks whether anything is to be done that nobody tells it of."""
-CLOSE_S = 2.0
+CLOSE_S = 1.0
 NO_WORD_S = 1.0
 """A lost connection is spoken of when it has not come back by then."""
 
@@ -129,7 +130,7 @@ class ZenohLink:
         return frames
 
     def close(self) -> None:
-        """Leave, within two seconds. What waits to be sent is lost."""
+        """Leave, within two seconds, whoever hangs. What waits to be sent is lost."""
         self._closing.set()
         self._queue.clear()
         self._end_session()
@@ -171,7 +172,7 @@ class ZenohLink:
             return False
         with self._lock:
             if self._closing.is_set():
-                session.close()
+                self._leave(session)
                 return False
             self._declare(session)
         self._check_name()
@@ -216,7 +217,18 @@ class ZenohLink:
         self._links = {}
         self._presence.lost()
         if session is not None:
-            session.close()
+            self._leave(session)
+
+    def _leave(self, session: Any) -> None:
+        """Zenoh takes leave of each connection in turn, of a hung one for ten seconds: it may do so alone."""
+
+        def close() -> None:
+            with suppress(self._zenoh.ZError):
+                session.close()
+
+        leaving = threading.Thread(target=close, name=f"end of {self.node}", daemon=True)
+        leaving.start()
+        leaving.join(CLOSE_S)
 
     def _put(self, frame: Frame) -> None:
         session = self._session

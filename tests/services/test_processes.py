@@ -178,3 +178,29 @@ def test_another_map_is_refused_with_both_named(logs: dict[str, Path], tmp_path:
         assert ran.code == 2
         assert "cells of 0.2 m" in ran.err
         assert "cells of 0.1 m" in ran.err
+
+
+def test_with_keys(logs: dict[str, Path], tmp_path: Path) -> None:
+    """The same over mutual TLS; an operator has a certificate, too, and who has none gets nowhere."""
+    pytest.importorskip("cryptography")
+    expected = mapped({"r1": str(logs["r1"])}, ["--resolution", "0.2"], tmp_path / "at once")
+    assert terrafuse("keys", "new-fleet", "--out", tmp_path / "fleet").code == 0
+    for words in (["station", "--station", "--host", "127.0.0.1"], ["r1"], ["ops"]):
+        assert terrafuse("keys", "add", *words, "--fleet", tmp_path / "fleet").code == 0
+    keys, port = tmp_path / "fleet/nodes", free_port()
+    where = ["--connect", f"tls/127.0.0.1:{port}"]
+    with Processes(tmp_path) as fleet:
+        fleet.start(
+            "station", "station", "--store", "s.db", "--listen", where[1], "--keys", keys / "station",
+            "--resolution", "0.2",
+        )  # fmt: skip
+        fleet.until(lambda: answers(port), "that the station listens")
+        fleet.start("r1", "robot", "r1", *where, "--source", logs["r1"], "--keys", keys / "r1", "--resolution", "0.2")
+        fleet.until(lambda: fleet.code("r1") is not None, "that r1 ends")
+        assert fleet.code("r1") == 0
+        listed = terrafuse("services", *where, "--keys", keys / "ops", "--json")
+        assert listed.code == 0, listed.err
+        assert {node["node"] for node in listed.json["nodes"]} == {"station", "r1"}
+        assert terrafuse("services", "--connect", f"tcp/127.0.0.1:{port}").code == 2  # neither keys nor --insecure
+        fleet.stop("station")
+        assert digest(tmp_path / "s.db") == expected

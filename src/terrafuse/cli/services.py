@@ -378,13 +378,18 @@ def _table(entries: Sequence[Entry]) -> Any:
         table.add_column(column, overflow="fold")
     for entry in entries:
         for status in entry.services:
-            health = f"lost {entry.age_s:.0f} s ago" if entry.lost else status.health
+            health = f"{_gone(entry)} {entry.age_s:.0f} s ago" if entry.lost else status.health
             reason = f"\n{status.reason}" if status.reason else ""
             table.add_row(
                 f"{entry.node}/{status.name}", status.contract, health, f"{status.restarts}{reason}",
                 _short(status.state),
             )  # fmt: skip
     return table
+
+
+def _gone(entry: Entry) -> str:
+    """A robot that ends when all is at the station has left."""
+    return "left" if any(status.state.get("level") for status in entry.services) else "lost"
 
 
 SHOWN = (

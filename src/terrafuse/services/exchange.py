@@ -116,6 +116,7 @@ class Exchange(Service):
             out["trouble"] = trouble
         if self.stations:
             out["stations"] = list(self.stations)
+            out["level"] = self._quiet_ns is not None
             out["behind"] = {station: self._courier.behind(station) for station in self.stations}
         if self._said:
             out["said"] = self._said

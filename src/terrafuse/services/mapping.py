@@ -45,6 +45,7 @@ class Mapping(Service):
         self._touched = 0
         self._scans = 0
         self._resumed = self.mapper.revision
+        self._place_m: list[float] | None = None
         port.ask(after=self._resumed)
 
     def post(self, message: Message) -> None:
@@ -73,6 +74,8 @@ class Mapping(Service):
             "tiles": len(mapper.keys),
             "resident_bytes": mapper.resident_bytes,
             "waiting_scans": self._port.waiting,
+            "place_m": self._place_m,
+            "stamp_ns": mapper.stamp_ns,
             "dropped": dict(sorted(self._dropped.items())),
         }
 
@@ -89,6 +92,7 @@ class Mapping(Service):
             done = self.mapper.integrate(scan)
         except InputError as error:
             raise InputError(f"{self.mapper.robot}: {self._run.logs[self.mapper.robot].path}: {error}") from error
+        self._place_m = [round(metres, 3) for metres in scan.T_world_sensor.position.tolist()]
         self._scans += 1
         self._touched += done.cells
         self._dropped.update(scan.dropped)

@@ -40,6 +40,8 @@ FLEETS = (1, 2, 3, 6, 12)
 MAPPED = 0.95
 FLEET_HZ = 2.0
 SAMPLE_S = 30.0
+MOST = 255
+"""The layer `confidence` of what is sure."""
 
 
 def stage_table(mission: Mission) -> Table:
@@ -96,13 +98,22 @@ class Heights:
 
     def sample(self, mission: Mission) -> None:
         mappers = [vehicle.mapper for vehicle in mission.vehicles]
-        errors = height_errors(live(mappers), self._known)
-        facts, streets = (error_facts(errors, where) for where in (self._known.houses, self._known.streets))
+        fine = live(mappers)
+        errors, sure = height_errors(fine, self._known), self._sure(fine)
+        houses, streets = self._known.houses, self._known.streets
+        facts, glimpses, on_streets = (error_facts(errors, where) for where in (houses & sure, houses, streets & sure))
         coarse, faultless = self._coarse(live(mappers, factor=self._factor)), self._faultless(np.isfinite(errors))
         self.rows.append((
             round(mission.now_s, 1), facts["cells"], facts["rmse_m"], facts["bias_m"], facts["median_abs_m"],
-            streets["rmse_m"], coarse["cells"], coarse["rmse_m"], faultless["rmse_m"],
+            glimpses["cells"], glimpses["rmse_m"], on_streets["rmse_m"], coarse["cells"], coarse["rmse_m"],
+            faultless["rmse_m"],
         ))  # fmt: skip
+
+    def _sure(self, replica: Replica) -> Array:
+        """Cells that are sure enough to count in the model's own rule for coarser ones."""
+        layer = layers_of(replica.model)["confidence"]
+        confidence = mosaic(replica, [layer], self._known.window)[layer.name]
+        return np.asarray(confidence >= MOST * replica.model.settings()["coarse_confidence"])
 
     def _coarse(self, replica: Replica) -> dict[str, Any]:
         layer = layers_of(replica.model)["height"]
@@ -121,11 +132,13 @@ class Heights:
         return Table(
             "Heights of what was seen",
             (
-                "simulated s", "building cells", "RMSE, m", "bias, m", "median, m", "streets RMSE, m",
-                "building cells of the GLRM", "their RMSE, m", "of a faultless HRM, m",
+                "simulated s", "building cells", "RMSE, m", "bias, m", "median, m", "with glimpses", "RMSE of these, m",
+                "streets RMSE, m", "building cells of the GLRM", "their RMSE, m", "of a faultless HRM, m",
             ),
             tuple(some if self.rows else ()),
-            "Of what robots saw, without the prior's guess. HRM: against the true height at each cell's centre. GLRM: "
+            "Of what robots saw, without the prior's guess. HRM: against the true height at each cell's centre; cells "
+            "whose confidence is 2/16 or more, from which on a cell counts for coarser ones; a glimpse is one that is "
+            "less sure, of a beam or two from far away, often at the foot of a wall. GLRM: "
             "cells that are a building's by half or more, against the mean of the true heights within. Robots on the "
             "street see walls and eaves and hardly a roof, so a GLRM cell is the mean of a part of its ground. A "
             "faultless HRM has the true height in each cell that was seen, and errs by this part alone.",

@@ -43,7 +43,7 @@ def test_its_map_is_that_of_the_mission(scenario: Path, tmp_path: Path) -> None:
     from terrafuse.simulate.scenario import load_scenario
 
     settings = map_settings(resolution_m=0.5)
-    run = mapping.plan({"r2": source_text(f"{scenario}/r2")}, settings)
+    run = mapping.plan({"r2": source_text(f"{scenario}/r2", "r2")}, settings)
     with SqliteStore.create(tmp_path / "own.db", run.lattice, run.model) as own:
         reports = mapping.map_logs(run, own)
         mission = Mission(load_scenario(scenario))
@@ -57,12 +57,16 @@ def test_texts_that_are_no_scenario_stay(tmp_path: Path) -> None:
     (tmp_path / "village").mkdir()
     (tmp_path / "village" / "r1").touch()
     for text in ("drive.mcap?topic=/points", "folder/r1", str(tmp_path / "village/r1")):
-        assert source_text(text) == text
-    assert "village.yaml?reader=scenario&robot=r1&robots=3" in source_text("village/r1?robots=3")
+        assert source_text(text, "r1") == text
+
+
+def test_a_scenario_alone_is_the_robot_of_the_nodes_name() -> None:
+    assert "village.yaml?reader=scenario&robot=r1&robots=3" in source_text("village/r1?robots=3", "r2")
+    assert "village.yaml?reader=scenario&robot=r2&robots=3" in source_text("village?robots=3", "r2")
 
 
 def test_a_robot_that_is_not_there(scenario: Path) -> None:
     with pytest.raises(InputError, match=r"no robot 'r3' in it; there are r1, r2"):
-        open_log(source_text(f"{scenario}/r3"))
+        open_log(source_text(f"{scenario}/r3", "r1"))
     with pytest.raises(InputError, match=r"\?robots=many: give a number"):
-        open_log(source_text(f"{scenario}/r3?robots=many"))
+        open_log(source_text(f"{scenario}/r3?robots=many", "r1"))

@@ -76,7 +76,10 @@ def robot(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Of this robot, in the fleet.")],
     connect: Connect,
     source: Annotated[
-        str, typer.Option(metavar="LOG|SCENARIO/ROBOT", help="What it senses: a log, or a robot of a scenario.")
+        str,
+        typer.Option(
+            metavar="LOG|SCENARIO[/ROBOT]", help="What it senses: a log, or in a scenario as the robot of this name."
+        ),
     ],
     store: Annotated[
         str | None,
@@ -237,11 +240,12 @@ def _run(settings: FleetSettings, names: Sequence[str], json: bool) -> int:
     from terrafuse.services.run import Hung, run, stopped_by_signals
 
     tell_of_compiling()
+    carry = carrier(settings, note)
+    nodes = [make_node(settings, name, carry) for name in names]
+    for name in names:
+        note(f"{name}: {_begins(settings, name)}")
+    # Only now: before, nothing has to be put down, and what is being imported or read could not be told to stop.
     with stopped_by_signals() as stop:
-        carry = carrier(settings, note)
-        nodes = [make_node(settings, name, carry) for name in names]
-        for name in names:
-            note(f"{name}: {_begins(settings, name)}")
         try:
             done = run(nodes, stop, _Progress())
         except Hung:
@@ -375,15 +379,13 @@ def _table(entries: Sequence[Entry]) -> Any:
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for column in ("service", "contract", "health", "restarts", "state"):
-        table.add_column(column, overflow="fold")
+        table.add_column(column, overflow="fold", no_wrap=column in ("service", "contract", "health"))
     for entry in entries:
         for status in entry.services:
             health = f"{_gone(entry)} {entry.age_s:.0f} s ago" if entry.lost else status.health
             reason = f"\n{status.reason}" if status.reason else ""
-            table.add_row(
-                f"{entry.node}/{status.name}", status.contract, health, f"{status.restarts}{reason}",
-                _short(status.state),
-            )  # fmt: skip
+            name, contract = f"{entry.node}/{status.name}", status.contract.removeprefix("terrafuse/")
+            table.add_row(name, contract, health, f"{status.restarts}{reason}", _short(status.state))
     return table
 
 
@@ -392,10 +394,7 @@ def _gone(entry: Entry) -> str:
     return "left" if any(status.state.get("level") for status in entry.services) else "lost"
 
 
-SHOWN = (
-    "scans", "revision", "committed", "tiles", "waiting_scans", "peers", "behind", "channels", "trouble", "said",
-    "nodes", "health",
-)  # fmt: skip
+SHOWN = ("scans", "revision", "tiles", "peers", "behind", "channels", "trouble", "said", "nodes")
 """Of states, in the table; `terrafuse get` has all."""
 
 

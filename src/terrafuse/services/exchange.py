@@ -118,8 +118,8 @@ class Exchange(Service):
             out["stations"] = list(self.stations)
             out["level"] = self._quiet_ns is not None
             out["behind"] = {station: self._courier.behind(station) for station in self.stations}
-        if self._said:
-            out["said"] = self._said
+        if any(self._said.values()):
+            out["said"] = {station: words for station, words in self._said.items() if words}
         return out
 
     def close(self) -> None:

@@ -102,7 +102,7 @@ def robot(settings: FleetSettings, name: str, carrier: Carrier) -> Node:
     """
     part = settings.robots[name]
     sensors = {} if part.sensor is None else {name: part.sensor}
-    run = plan({name: source_text(part.source)}, settings.map.model_copy(update={"sensors": sensors}))
+    run = plan({name: source_text(part.source, name)}, settings.map.model_copy(update={"sensors": sensors}))
     files = ExitStack()
     archive = files.enter_context(open_partial(Path(part.store), run))
     factor = settings.map.global_factor

@@ -1,5 +1,7 @@
 """Simulated robots as sources: `SCENARIO/ROBOT?robots=3&seed=1&duration_s=60` instead of a log.
 
+`SCENARIO` is a shipped one's name, or a YAML file; without `/ROBOT` it is the robot of the node's own name.
+
 The scenario runs as `terrafuse simulate` runs it, in the process of each robot that senses in it: the same seed makes
 the same mission, so robots of several processes meet each other where they are.
 """
@@ -31,22 +33,25 @@ OPTIONS = {
 }
 
 
-def source_text(text: str) -> str:
-    """What `SCENARIO/ROBOT` is as a log; other texts as they are. A path that exists is no scenario."""
+def source_text(text: str, robot: str) -> str:
+    """What `SCENARIO/ROBOT` is as a log; `SCENARIO` alone is that of the robot which asks. Other texts stay.
+
+    A path that exists is no scenario, but for a scenario's YAML file.
+    """
     what, options = split_query(text)
-    scenario, slash, robot = what.rpartition("/")
-    file = _file_of(scenario)
-    if not slash or Path(what).exists() or file is None:
+    whole, (scenario, _, chosen) = _file_of(what), what.rpartition("/")
+    file = whole or (None if Path(what).exists() else _file_of(scenario))
+    if file is None:
         return text
     READERS.setdefault(READER.name, READER)
     rest = "".join(f"&{key}={value}" for key, value in options.items())
-    return f"{file}?reader={READER.name}&robot={robot}{rest}"
+    return f"{file}?reader={READER.name}&robot={robot if whole else chosen}{rest}"
 
 
 def _file_of(scenario: str) -> Path | None:
     """Of a shipped scenario's name, or a YAML file."""
     shipped = resources.files(LIBRARY) / "library" / f"{scenario}.yaml"
-    candidates = [Path(str(shipped))] if "/" not in scenario else []
+    candidates = [Path(str(shipped))] if scenario and "/" not in scenario and not Path(scenario).exists() else []
     candidates += [Path(scenario)] if scenario.endswith((".yaml", ".yml")) else []
     return next((path for path in candidates if path.is_file()), None)
 

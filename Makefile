@@ -54,6 +54,7 @@ bench: setup
 	$(BIN)/python -m bench.plan
 	$(BIN)/python -m bench.rays
 	$(BIN)/python -m bench.sonar
+	$(BIN)/python -m bench.transport
 
 accuracy: setup
 	$(BIN)/python -m tests.accuracy

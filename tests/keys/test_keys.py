@@ -199,6 +199,7 @@ def allowed(who: Member, key: str) -> bool:
         ("terrafuse/delta/**", False, False, False),
         ("terrafuse/delta/fine/*/r4", False, False, True),
         ("terrafuse/summary/r4", True, True, True),
+        ("terrafuse/tiles/fine/r5/r4", True, True, True),
         ("terrafuse/summary/r5", False, False, False),
         ("terrafuse/post/station/r4", True, True, True),
         ("terrafuse/post/station/r5", False, False, False),

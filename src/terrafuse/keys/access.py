@@ -7,7 +7,7 @@ the part before it says whose report it is.
 |---|---|---|---|
 | `delta/…/N/N` | yes | yes | yes |
 | `delta/…/R/N` | no | yes | yes |
-| `summary/N`, `post/PEER/N`, `pose/N`, `health/N`, `service/…/N` | yes | yes | yes |
+| `summary/N`, `tiles/…/N`, `post/PEER/N`, `pose/N`, `health/N`, `service/…/N` | yes | yes | yes |
 | `…/N`, `global/…`, `correction/…` | no | no | yes |
 
 All members may listen to all. Who is no member, or was revoked, may do nothing.
@@ -21,7 +21,7 @@ from terrafuse.keys.fleet import Member, Roster
 
 ROOT, SIGNS, NAMES = "terrafuse", "terrafuse-nodes", "terrafuse-names"
 """As in exchange.links: topics; who is there; who answers to a name."""
-OWN_KINDS = ("summary", "post", "pose", "health", "service")
+OWN_KINDS = ("summary", "tiles", "post", "pose", "health", "service")
 _EVERYTHING = [f"{ROOT}/**", f"{SIGNS}/**", f"{NAMES}/**"]
 _HEARING = ["declare_subscriber", "liveliness_query", "declare_liveliness_subscriber", "query"]
 _TELLING = ["put", "delete", "declare_queryable", "reply", "liveliness_token"]

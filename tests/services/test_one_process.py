@@ -141,3 +141,10 @@ def test_a_log_without_a_scan_is_an_error(tmp_path: Path, logs: dict[str, Path])
     settings = settings_of({"r1": logs["r1"]}, tmp_path, model_settings={"max_range_m": 0.001})
     with pytest.raises(InputError, match="puts nothing on the map"):
         finished(nodes_of(settings))
+
+
+def test_a_station_keeps_to_its_coarse_map(tmp_path: Path) -> None:
+    before, after = (settings_of({}, tmp_path, global_factor=factor) for factor in (5, 10))
+    make_node(before, "station", carrier(before, print)).close()
+    with pytest.raises(StoreMismatch, match=r"station\.coarse\.db: is of another map than asked for; delete it"):
+        make_node(after, "station", carrier(after, print))

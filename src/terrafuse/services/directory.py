@@ -26,8 +26,8 @@ GRACE_S = 2.0
 FORGET_S = 600.0
 """A node that says nothing is shown as lost for so long."""
 MOST_NODES = 4096
-MOST_BYTES = 1 << 20
-"""Of a report, unpacked."""
+MOST_BYTES = 1 << 16
+"""Of a node's report, unpacked; what a directory tells of a node may be longer, as a station's own is."""
 MOST_PACKED = 60_000
 
 
@@ -54,10 +54,10 @@ def pack(value: msgspec.Struct) -> bytes:
     return zstandard.ZstdCompressor(level=3).compress(msgspec.msgpack.encode(value))
 
 
-def unpack(payload: bytes, kind: type[Any]) -> Any:
+def unpack(payload: bytes, kind: type[Any], most_bytes: int = MOST_BYTES) -> Any:
     """Raises ValueError for what is none, or too large."""
     try:
-        if not 0 <= zstandard.frame_content_size(payload) <= MOST_BYTES:
+        if not 0 <= zstandard.frame_content_size(payload) <= most_bytes:
             raise ValueError(f"no {kind.__name__}: too large")
         return msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(payload), type=kind)
     except (zstandard.ZstdError, msgspec.DecodeError, msgspec.ValidationError) as error:

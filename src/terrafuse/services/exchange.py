@@ -75,6 +75,7 @@ class Exchange(Service):
         self._link = link()
         try:
             self._courier = Courier(self._link, self._channels, peers=peers, on_message=self._bring, settings=settings)
+            self.counts = self._courier.counts
             for station in self.stations:
                 join = Message(contract_of(MAP_MANAGER).id, "join", json.dumps(about.as_json()).encode())
                 self._write(Letter(station, MAP_MANAGER, join))
@@ -105,15 +106,13 @@ class Exchange(Service):
                 raise InputError(f"'{message.sender}' does not take this robot's map: {self._said[message.sender]}")
 
     def state(self) -> dict[str, Any]:
-        self.counts.update(self._courier.counts - self.counts)
         out: dict[str, Any] = {
             "node": self._link.node,
             **self._about.as_json(),
             "peers": self._courier.reached(self._now_ns),
             "channels": {channel.name: _held(channel) for channel in self._channels},
         }
-        if trouble := getattr(self._link, "trouble", None):
-            out["trouble"] = trouble
+        out |= {name: value for name in ("trouble", "counts") if (value := getattr(self._link, name, None))}
         if self.stations:
             out["stations"] = list(self.stations)
             out["level"] = self._quiet_ns is not None

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from terrafuse.errors import StoreMismatch
 from terrafuse.exchange.courier import Channel, CourierSettings
+from terrafuse.exchange.delta import map_id
 from terrafuse.lattice import Lattice
 from terrafuse.mapping import open_partial, plan, tile_for
 from terrafuse.models import make_model
@@ -200,9 +200,10 @@ def _replica_file(files: ExitStack, path: Path, archive: Store) -> SqliteStore:
 
 def _opened(path: Path, lattice: Lattice, model: Model) -> SqliteStore:
     """A store that only holds what can be had again from others."""
-    return SqliteStore.open(path) if path.exists() else SqliteStore.create(path, lattice, model)
-
-
-def facts(node: Node) -> dict[str, Any]:
-    """What is left to say of a node when it ends."""
-    return {name: status.state for name, status in node.statuses.items()}
+    if not path.exists():
+        return SqliteStore.create(path, lattice, model)
+    store = SqliteStore.open(path)
+    if store.map != map_id(model.name, lattice):
+        store.close()
+        raise StoreMismatch(f"{path}: is of another map than asked for; delete it, what it held comes back from others")
+    return store

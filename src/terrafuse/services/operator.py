@@ -18,6 +18,7 @@ from terrafuse.services.supervise import Clock
 TICK_S = 0.02
 ASK_S = 1.0
 PATIENCE_S = 15.0
+MOST_BYTES = 1 << 20
 
 
 def operator_name() -> str:
@@ -70,7 +71,7 @@ class Operator:
         if letter is None or letter.message.kind != "fleet" or letter.message.contract != CONTRACT.id:
             return
         try:
-            entry: Entry = unpack(payload, Entry)
+            entry: Entry = unpack(payload, Entry, MOST_BYTES)
         except ValueError:
             return
         if entry.number == self._number:

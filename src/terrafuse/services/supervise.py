@@ -33,7 +33,9 @@ from terrafuse.services.service import (
 LONGEST_WAIT_S = 0.1
 """That a thread sleeps: how late a message may be looked at."""
 SHOWN_EVERY_NS = SECOND_NS // 4
-"""How old a status may be."""
+"""How old a status may be, unless it takes over a"""
+SHOWN_SHARE = 50
+"""50th of the time to make."""
 MOST_WAITING = 1024
 """Messages in a mailbox: beyond, the oldest go."""
 
@@ -79,7 +81,7 @@ class Supervised:
         self._counts: Counter[str] = Counter()
         self._mailbox: deque[Message] = deque(maxlen=MOST_WAITING)
         self._again = False
-        self._shown_ns = 0
+        self._show_ns = 0
         self.status = Status(spec.name, "", STARTING, 0)
 
     def send(self, message: Message) -> None:
@@ -179,12 +181,12 @@ class Supervised:
                 self._counts[f"raised.{type(error).__name__}"] += 1
 
     def _turn(self, health: str, now_ns: int) -> None:
-        self._health, self._since_ns, self._shown_ns = health, now_ns, 0
+        self._health, self._since_ns, self._show_ns = health, now_ns, 0
 
     def _show(self, now_ns: int) -> None:
-        if self._shown_ns and now_ns - self._shown_ns < SHOWN_EVERY_NS:
+        if now_ns < self._show_ns:
             return
-        self._shown_ns = now_ns
+        started_ns = time.perf_counter_ns()
         service = self._service
         contract = service.contract.id if service else self.status.contract
         partners = tuple(service.partners) if service else self.status.partners
@@ -193,6 +195,8 @@ class Supervised:
             self.spec.name, contract, self._health, self._since_ns, partners, self._restarts, self._reason,
             dict(sorted(counts.items())), service.state() if service else self.status.state,
         )  # fmt: skip
+        cost_ns = time.perf_counter_ns() - started_ns
+        self._show_ns = now_ns + max(SHOWN_EVERY_NS, SHOWN_SHARE * cost_ns)
 
 
 class Supervisor:

@@ -73,7 +73,7 @@ def test_a_robots_certificate_lets_it_speak_for_itself_alone(fleet: Fleet, here:
                 thief.send(*frame, 0)
         thief.send("pose/r4", b"a mark: what was sent before has been judged", 0)
         assert heard(process, "pose/r4") == ["pose/r4"]
-        assert process.ask("revision r5") == 0
+        assert process.ask("level r5") == 0
         for link, topic in ((relay, "delta/fine/r5/r6"), (robot, "delta/fine/r5/r5")):
             link.send(topic, b"", 0)
             assert topic in heard(process, topic)

@@ -19,7 +19,8 @@ from terrafuse.exchange.links.transport import Transport
 from terrafuse.exchange.links.zenoh import ZenohLink
 
 LOOPBACK = "127.0.0.1"
-PATIENCE_S = 15.0
+PATIENCE_S = 30.0
+"""Bounds what fails. In a fresh clone kernels are compiled within it."""
 TICK_S = 0.02
 SWIFT = CourierSettings(period_s=0.2, answer_s=0.05, retry_s=0.4, longest_retry_s=1.0, message_cells=200)
 

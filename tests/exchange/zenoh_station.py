@@ -1,7 +1,7 @@
 """A station in a process of its own: python -m tests.exchange.zenoh_station NAME TRANSPORT_AS_JSON
 
 It holds what robots report, passes it on, and keeps a list of every other frame's topic. Asked by lines on its standard
-input: `nodes`, `topics` (those since it was asked last), `digest`, `revision ROBOT`, `refused`; it answers with a line
+input: `nodes`, `topics` (those since it was asked last), `digest`, `level ROBOT`, `refused`; it answers with a line
 of JSON.
 """
 
@@ -67,8 +67,8 @@ def answer(line: str, link: ZenohLink, listed: Listed, replica: Replica, courier
             return topics
         case ["digest"]:
             return replica.digest()
-        case ["revision", robot]:
-            return replica.store.revision(robot)
+        case ["level", robot]:
+            return replica.store.level(robot)
         case ["refused"]:
             return {kind: count for kind, count in courier.counts.items() if kind.startswith("refused")}
     raise ValueError(line)

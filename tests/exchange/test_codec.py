@@ -13,40 +13,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from terrafuse.errors import CodecError
-from terrafuse.exchange.codec import decode, encode, pack_cells, unpack_cells
-from terrafuse.exchange.delta import Delta
+from terrafuse.exchange.codec import START, decode, encode, heading, pack_cells, unpack_cells
+from terrafuse.exchange.delta import Delta, check_content
 from terrafuse.models import make_model
 from terrafuse.testing.deltas import deltas_of, random_scans
 from terrafuse.testing.stores import LATTICE, MODEL
-from tests.exchange.make_golden import golden_delta, parts
+from tests.exchange.golden import GOLDEN
+from tests.exchange.make_golden import MODELS, NAMES, golden_delta, parts
 
 CELL = make_model("elevation").cell
 
-GOLDEN = bytes.fromhex(
-    # magic
-    "544644"
-    # format version
-    "01"
-    # header length
-    "59010000"
-    # header, msgpack
-    "8aa56d6f64656ca9656c65766174696f6eac7265736f6c7574696f6e5f6dcb3ff0000000000000a674696c655f6dcb40"
-    "10000000000000a3637273c0a5726f626f74a27231a573696e636500a87265766973696f6e02a87374616d705f6e73ce"
-    "77359400a66669656c6473dc001092a16ea33c753492a57a5f6d696ea33c693492a57a5f6d6178a33c693492a573715f"
-    "6869a33c753492a57a5f73756da33c693892a573715f6c6fa33c753892a57374616d70a33c693892a87265766973696f"
-    "6ea33c753492a76368616e676573a33c753492a66d6572676573a33c753492a867726f756e645f6ea33c753492ac6772"
-    "6f756e645f7a5f6d696ea33c693492ac67726f756e645f7a5f6d6178a33c693492ac67726f756e645f73715f6869a33c"
-    "753492ac67726f756e645f7a5f73756da33c693892ac67726f756e645f73715f6c6fa33c7538a574696c65739295ff00"
-    "00013495000000025e"
-    # frames, zstd, one a tile
-    "28b52ffd20585d0100b00300000001000000c0f2fcff0000902f5009ca9a3b00080020941586a50ca8d8a0698ab3f192"
-    "77cb250128b52ffd20b0ad020034030006000100404042d80ff600ff00001030a519d46ce83c9436356577c4020140c0"
-    "0df203fc90702fd050af09f600ff00ff00ff0d0060c34e861517b0b2d5cc7a4d3936d483339fe4b4b5b38b15c2c1e00b"
-    "0c01"
-    # CRC-32 of all before
-    "888b145e"
-)
-"""Made by tests/exchange/make_golden.py. Bytes that were once written must be read for ever."""
+EXACT = GOLDEN["elevation exact"]
 
 
 def assert_equal(one: Delta, other: Delta) -> None:
@@ -63,30 +40,40 @@ def assert_equal(one: Delta, other: Delta) -> None:
         np.testing.assert_array_equal(a.cells, b.cells)
 
 
-def test_golden_bytes_are_read() -> None:
-    delta = decode(GOLDEN, CELL)
-    assert_equal(delta, golden_delta())
+@pytest.mark.parametrize("name", NAMES)
+def test_golden_bytes_are_read(name: str) -> None:
+    model, form = name.split()
+    assert heading(GOLDEN[name]).form == form
+    assert_equal(decode(GOLDEN[name], MODELS[model].cell), golden_delta(name))
+
+
+def test_golden_bytes_hold_what_was_seen() -> None:
+    delta = decode(EXACT, CELL)
     assert delta.robot == "r1"
     assert [tuple(tile.key) for tile in delta.tiles] == [(-1, 0, 0), (0, 0, 0)]
     np.testing.assert_array_equal(delta.tiles[1].at, [0, 6])
-    np.testing.assert_array_equal(delta.tiles[1].cells["n"], [1, 1])
-    np.testing.assert_array_equal(delta.tiles[1].cells["z_max"], [1_000_000, 400_000])
-    np.testing.assert_array_equal(delta.tiles[1].cells["ground_z_max"], [200_000, 0])
+    np.testing.assert_array_equal(delta.tiles[1].cells["n"], [2, 1])
+    np.testing.assert_array_equal(delta.tiles[1].cells["z_max"], [1_040_000, 400_000])
+    np.testing.assert_array_equal(delta.tiles[1].cells["ground_z_max"], [206_000, 0])
     np.testing.assert_array_equal(delta.tiles[1].cells["changes"], [1, 0])
+    lean = decode(GOLDEN["elevation lean"], CELL)
+    # 5.0 and 5.2 m have a mean of 5.10 m; -1.0 and -1.4 one of -1.20 m; 2 points each.
+    np.testing.assert_array_equal(lean.tiles[1].cells["z_sum"], [2 * 1_020_000, 400_000])
+    np.testing.assert_array_equal(lean.tiles[0].cells["z_sum"], [2 * -240_000])
 
 
-def test_golden_bytes_are_written() -> None:
-    """All but the frames, whose bytes are the compressor's business; their content is compared."""
-    written, golden = dict(parts(encode(golden_delta()))), dict(parts(GOLDEN))
-    frames = "frames, zstd, one a tile"
-    assert _content(written.pop(frames)) == _content(golden.pop(frames))
-    header = [msgspec.msgpack.decode(side.pop("header, msgpack")) for side in (written, golden)]
-    for head in header:
-        for tile in head["tiles"]:
-            del tile[-1]  # the frame's size
-    assert header[0] == header[1]
-    assert written["magic"] == golden["magic"] == b"TFD"
-    assert written["format version"] == golden["format version"] == bytes([1])
+@pytest.mark.parametrize("name", NAMES)
+def test_golden_bytes_are_written(name: str) -> None:
+    """All but the frames of the exact form, whose bytes are the compressor's business; their content is compared."""
+    message, golden = encode(golden_delta(name)), GOLDEN[name]
+    if not name.endswith("exact"):
+        assert message == golden
+        return
+    written, known = dict(parts(message)), dict(parts(golden))
+    assert _content(written["body"]) == _content(known["body"])
+    heads = [msgspec.msgpack.decode(side["header, msgpack"]) for side in (written, known)]
+    assert heads[0][:-1] == heads[1][:-1]  # last are the frames' sizes
+    assert message[:5] == golden[:5] == b"TFD\x02\x00"
 
 
 def _content(frames: bytes) -> bytes:
@@ -117,17 +104,18 @@ def test_any_record_survives(data: st.DataObject) -> None:
 @given(st.data())
 @settings(max_examples=300)
 def test_a_flipped_byte_is_rejected(data: st.DataObject) -> None:
-    message = bytearray(GOLDEN)
+    message = bytearray(GOLDEN[data.draw(st.sampled_from(["elevation exact", "elevation lean"]))])
     place = data.draw(st.integers(0, len(message) - 1))
     message[place] ^= data.draw(st.integers(1, 255))
     with pytest.raises(CodecError):
         decode(bytes(message), CELL)
 
 
-@given(st.integers(0, len(GOLDEN) - 1))
-def test_a_cut_message_is_rejected(length: int) -> None:
-    with pytest.raises(CodecError):
-        decode(GOLDEN[:length], CELL)
+@pytest.mark.parametrize("name", ["elevation exact", "elevation lean"])
+def test_a_cut_message_is_rejected(name: str) -> None:
+    for length in range(len(GOLDEN[name])):
+        with pytest.raises(CodecError):
+            decode(GOLDEN[name][:length], CELL)
 
 
 @given(st.binary(max_size=400))
@@ -137,61 +125,121 @@ def test_noise_is_rejected(noise: bytes) -> None:
         decode(noise, CELL)
 
 
-def sealed(header: dict[str, object], frames: bytes = b"") -> bytes:
-    """A message with a right checksum, whatever it says."""
-    head = msgspec.msgpack.encode(header)
-    body = b"TFD" + bytes([1]) + struct.pack("<I", len(head)) + head + frames
-    return body + struct.pack("<I", zlib.crc32(body))
+def sealed(name: str, body: bytes | None = None, **changes: object) -> bytes:
+    """A golden message with other fields in its header, and a right checksum."""
+    golden = dict(parts(GOLDEN[name]))
+    fields = msgspec.msgpack.decode(golden["header, msgpack"])
+    known = COMMON + (EXACTLY if name.endswith("exact") else ROUNDED)
+    values = dict(zip(known, fields, strict=True)) | changes
+    head = msgspec.msgpack.encode(list(values.values()))
+    start = START.pack(b"TFD", 2, golden["form"][0], len(head))
+    whole = start + head + (golden["body"] if body is None else body)
+    return whole + struct.pack("<I", zlib.crc32(whole))
 
 
-def golden_header(**changes: object) -> dict[str, object]:
-    (length,) = struct.unpack("<I", GOLDEN[4:8])
-    return msgspec.msgpack.decode(GOLDEN[8 : 8 + length]) | changes
-
-
-FRAMES = dict(parts(GOLDEN))["frames, zstd, one a tile"]
-FIRST = golden_header()["tiles"][0][-1]  # bytes of the first frame
+COMMON = ["model", "resolution_m", "tile_m", "crs", "robot", "since", "revision", "stamp_ns"]
+EXACTLY, ROUNDED = ["tiles", "fields", "sizes"], ["tiles", "cells", "unit_ns", "backs", "ages"]
+FRAMES = dict(parts(EXACT))["body"]
+FIRST = msgspec.msgpack.decode(dict(parts(EXACT))["header, msgpack"])[-1][0]
+SIZES = [FIRST, len(FRAMES) - FIRST]
+BOTH = [
+    ({"resolution_m": 1e-300, "tile_m": 1e300}, "impossible lattice"),
+    ({"resolution_m": float("nan")}, "impossible lattice"),
+    ({"resolution_m": 1e-9}, "impossible lattice"),
+    ({"resolution_m": 0.3}, "impossible lattice"),
+    ({"robot": "a\nb"}, "printable"),
+    ({"robot": ""}, "name"),
+    ({"robot": "x" * 201}, "name"),
+    ({"robot": 7}, "can't be read"),
+    ({"surprise": 1}, "can't be read"),
+    ({"since": 5, "revision": 2}, "impossible revisions"),
+    ({"revision": 2**40}, "impossible revisions"),
+    ({"revision": 1}, "newer than the delta"),
+]
 
 
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"tiles": [[0, 0, 0, 17, len(FRAMES)]]}, "can't hold"),
-        ({"tiles": [[0, 0, 0, 2**40, len(FRAMES)]]}, "more than"),
-        ({"tiles": [[2**62, 0, 0, 1, FIRST], [2**62 + 1, 0, 0, 2, len(FRAMES) - FIRST]]}, "not on the lattice"),
-        ({"tiles": [[-1, 0, 3, 1, FIRST], [0, 0, 3, 2, len(FRAMES) - FIRST]]}, "not on the lattice"),
-        ({"tiles": [[0, 0, 0, 1, FIRST], [0, 0, 0, 2, len(FRAMES) - FIRST]]}, "tiles that do not rise"),
-        ({"resolution_m": 1e-300, "tile_m": 1e300}, "impossible lattice"),
-        ({"robot": "a\nb"}, "printable"),
-        ({"tiles": [[0, 0, 0, 0, len(FRAMES)]]}, "can't hold"),
-        ({"tiles": [[0, 0, 0, -1, len(FRAMES)]]}, "can't hold"),
-        ({"tiles": [[0, 0, 0, 2, 10**9]]}, "do not fill"),
-        ({"tiles": [[0, 0, 0, 2, -5], [0, 0, 0, 2, len(FRAMES) + 5]]}, "do not fill"),
-        ({"tiles": [[0, 0, 0, 16, len(FRAMES)]]}, "does not hold 16"),
-        ({"resolution_m": float("nan")}, "impossible lattice"),
-        ({"resolution_m": 1e-9}, "impossible lattice"),
-        ({"resolution_m": 0.3}, "impossible lattice"),
-        ({"since": 5, "revision": 2}, "impossible revisions"),
-        ({"revision": 2**40}, "impossible revisions"),
+        *BOTH,
         ({"stamp_ns": -1}, "impossible revisions"),
-        ({"revision": 1}, "newer than the delta"),
-        ({"robot": ""}, "name"),
-        ({"robot": "x" * 201}, "name"),
-        ({"robot": 7}, "can't be read"),
-        ({"surprise": 1}, "can't be read"),
+        ({"tiles": [[0, 0, 0, 17]], "sizes": [len(FRAMES)]}, "can't hold"),
+        ({"tiles": [[0, 0, 0, 2**40]], "sizes": [len(FRAMES)]}, "more than"),
+        ({"tiles": [[2**62, 0, 0, 1], [2**62 + 1, 0, 0, 2]]}, "not on the lattice"),
+        ({"tiles": [[-1, 0, 3, 1], [0, 0, 3, 2]]}, "not on the lattice"),
+        ({"tiles": [[0, 0, 0, 1], [0, 0, 0, 2]]}, "tiles that do not rise"),
+        ({"tiles": [[0, 0, 0, 0]], "sizes": [len(FRAMES)]}, "can't hold"),
+        ({"tiles": [[0, 0, 0, -1]], "sizes": [len(FRAMES)]}, "can't hold"),
+        ({"sizes": [FIRST, 10**9]}, "do not fill"),
+        ({"sizes": [-5, len(FRAMES) + 5]}, "do not fill"),
+        ({"sizes": [len(FRAMES)]}, "do not fill"),
+        ({"tiles": [[0, 0, 0, 16]], "sizes": [len(FRAMES)]}, "does not hold 16"),
         ({"fields": [["n", "<u4"]]}, "fields"),
     ],
 )
 def test_lies_with_a_right_checksum_are_rejected(changes: dict[str, object], reason: str) -> None:
-    assert decode(sealed(golden_header(), FRAMES), CELL).cell_count == 3
+    assert decode(sealed("elevation exact"), CELL).cell_count == 3
     with pytest.raises(CodecError, match=reason):
-        decode(sealed(golden_header(**changes), FRAMES), CELL)
+        decode(sealed("elevation exact", **changes), CELL)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        *BOTH,
+        ({"stamp_ns": -(10**10)}, "before 1970"),
+        ({"stamp_ns": 2**62, "unit_ns": 2**62, "ages": [-1, -2]}, "beyond 63 bits"),
+        ({"model": "mine"}, "form 'lean', which"),
+        ({"model": "grey"}, "fields|does not hold"),
+        ({"tiles": 0, "cells": 0}, "can't hold 0"),
+        ({"tiles": -1}, "-1 tiles"),
+        ({"tiles": 4, "cells": 3}, "can't hold"),
+        ({"cells": 2**40}, "more than"),
+        ({"cells": 33}, "can't hold 33"),
+        ({"cells": 4}, "does not hold"),
+        ({"cells": 2}, "does not hold"),
+        ({"tiles": 1}, "does not hold"),
+        ({"tiles": 3}, "does not hold"),
+        ({"backs": [0, 0]}, None),
+        ({"backs": [0]}, "1 revisions and 2 stamps"),
+        ({"backs": [0], "ages": [0]}, "does not hold"),
+        ({"backs": [], "ages": []}, "0 revisions"),
+        ({"backs": [0] * 5, "ages": [0] * 5}, "5 revisions"),
+        ({"backs": [-1, 0]}, "newer than the delta"),
+        ({"backs": [2, 0]}, "newer than the delta, or none"),
+        ({"ages": [2**63, 0]}, "before 1970"),
+    ],
+)
+def test_lies_about_rounded_cells_are_rejected(changes: dict[str, object], reason: str | None) -> None:
+    if reason is None:
+        decode(sealed("elevation lean", **changes), CELL)
+        return
+    with pytest.raises(CodecError, match=reason):
+        decode(sealed("elevation lean", **changes), CELL)
+
+
+@given(st.binary(max_size=60), st.integers(1, 4), st.integers(1, 64))
+@settings(max_examples=500)
+def test_a_body_of_noise_is_rejected_or_keeps_the_laws(noise: bytes, tiles: int, cells: int) -> None:
+    """A body may spell anything: what comes out is a delta that could be, or an error."""
+    try:
+        delta = decode(sealed("elevation lean", noise, tiles=tiles, cells=cells), CELL)
+    except CodecError:
+        return
+    check_content(delta)
+
+
+def test_more_cells_than_asked_for_are_refused() -> None:
+    for name in ("elevation exact", "elevation lean"):
+        assert decode(GOLDEN[name], CELL, most_cells=3).cell_count == 3
+        with pytest.raises(CodecError, match="more than 2 cells"):
+            decode(GOLDEN[name], CELL, most_cells=2)
 
 
 def test_a_bomb_is_not_unpacked() -> None:
     bomb = zstandard.ZstdCompressor(write_content_size=False).compress(bytes(10**8))
     with pytest.raises(CodecError):
-        decode(sealed(golden_header(tiles=[[0, 0, 0, 2, len(bomb)]]), bomb), CELL)
+        decode(sealed("elevation exact", bomb, tiles=[[0, 0, 0, 2]], sizes=[len(bomb)]), CELL)
 
 
 def test_positions_must_rise_within_the_tile() -> None:
@@ -203,9 +251,28 @@ def test_positions_must_rise_within_the_tile() -> None:
 
 
 def test_another_version_is_refused_clearly() -> None:
-    message = GOLDEN[:3] + bytes([9]) + GOLDEN[4:]
-    with pytest.raises(CodecError, match="format version 9; this terrafuse reads version 1"):
-        decode(message, CELL)
+    for message in (EXACT[:3] + bytes([9]) + EXACT[4:], b"TFD\x01" + bytes(20)):
+        version = message[3]
+        with pytest.raises(CodecError, match=f"format version {version}; this terrafuse reads version 2"):
+            decode(message, CELL)
+
+
+def test_another_form_is_refused_clearly() -> None:
+    body = EXACT[:4] + bytes([7]) + EXACT[5:-4]
+    with pytest.raises(CodecError, match="form 7; this terrafuse reads 0, 1, 2"):
+        decode(body + struct.pack("<I", zlib.crc32(body)), CELL)
+
+
+def test_cells_of_another_kind_are_refused() -> None:
+    for form in ("exact", "full", "lean"):
+        with pytest.raises(CodecError, match="fields"):
+            decode(GOLDEN[f"elevation {form}"], make_model("grey").cell)
+
+
+def test_the_heading_says_what_is_inside() -> None:
+    map_ = golden_delta().map
+    for form in ("exact", "full", "lean"):
+        assert heading(GOLDEN[f"elevation {form}"]) == (map_, form, "r1", 0, 2, 2_000_000_000, 2, 3)
 
 
 def test_an_empty_delta_travels() -> None:

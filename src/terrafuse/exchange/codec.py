@@ -1,9 +1,11 @@
 """Deltas as bytes, losslessly. The layout is fixed by golden bytes in the tests; docs/delta-format.md describes it.
 
-    "TFD" · version (1 byte) · header length (uint32 LE) · header (msgpack) · one zstd frame a tile · CRC-32 (uint32 LE)
+    "TFD" · version · form · header length (uint32 LE) · header (msgpack) · body · CRC-32 (uint32 LE)
 
-A tile's frame holds the positions' gaps, then each field of the cells as a column. Columns are coded as differences to
-the cell before (modulo 2ᵏ, so exactly), their bytes transposed: neighbours on the ground are alike, and zstd finds it.
+A delta whose cells a profile has rounded takes that profile's form: the body is its numbers, differences to neighbours
+in short codes (`exchange.profiles`, `kernels.adaptive`). Any other takes the form `exact`: a zstd frame a tile, of
+columns. Which one is seen by the cells, so that who passes a delta on needs no knowledge of how it was made.
+
 A decoder trusts no length: everything is bounded before memory is taken, and any fault rejects the whole message.
 """
 
@@ -11,6 +13,9 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Sequence
+from itertools import accumulate
+from math import gcd
 from typing import Any, NamedTuple
 
 import msgspec
@@ -18,16 +23,21 @@ import numpy as np
 import zstandard
 
 from terrafuse.errors import CodecError, DeltaError, LatticeError
-from terrafuse.exchange.delta import Delta, MapId, TileCells, check_content
-from terrafuse.kernels import columns
+from terrafuse.exchange.delta import MAX_REVISION, Delta, MapId, TileCells, check_content, check_outline
+from terrafuse.exchange.profiles import CODES, EXACT, PROFILES, Profile
+from terrafuse.kernels import adaptive, columns
+from terrafuse.tile import opaque
 from terrafuse.types import Array, TileKey
 
 MAGIC = b"TFD"
-VERSION = 1
+VERSION = 2
 ZSTD_LEVEL = 3
 MAX_MESSAGE = 1 << 30
 MAX_CELLS = 1 << 24
 """In one message: 1.4 GB of elevation cells. What is larger travels as several deltas."""
+START = struct.Struct("<3sBBI")
+"""Magic, version, form, length of the header."""
+FORMS = {code: name for name, code in CODES.items()}
 
 
 class _Tile(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
@@ -35,11 +45,9 @@ class _Tile(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
     y: int
     level: int
     count: int
-    size: int
-    """Bytes of its frame."""
 
 
-class _Header(msgspec.Struct, forbid_unknown_fields=True):
+class _Header(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
     model: str
     resolution_m: float
     tile_m: float
@@ -48,17 +56,194 @@ class _Header(msgspec.Struct, forbid_unknown_fields=True):
     since: int
     revision: int
     stamp_ns: int
+
+
+class _Exact(_Header):
+    tiles: list[_Tile]
     fields: list[tuple[str, str]]
     """Name and NumPy type (little endian) of each field of a cell."""
-    tiles: list[_Tile]
+    sizes: list[int]
+    """Bytes of each tile's frame."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Tiles and cells."""
+        return len(self.tiles), sum(tile.count for tile in self.tiles)
+
+
+class _Rounded(_Header):
+    tiles: int
+    cells: int
+    unit_ns: int
+    backs: list[int]
+    """By how many revisions the cells that are number 0, 1, ... in the table are older than `revision`,"""
+    ages: list[int]
+    """and by how many units than `stamp_ns`."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.tiles, self.cells
 
 
 _encode_header = msgspec.msgpack.Encoder().encode
-_decode_header = msgspec.msgpack.Decoder(_Header).decode
+_read_exact = msgspec.msgpack.Decoder(_Exact).decode
+_read_rounded = msgspec.msgpack.Decoder(_Rounded).decode
+
+
+class Heading(NamedTuple):
+    """What a delta says of itself before its cells."""
+
+    map: MapId
+    form: str
+    robot: str
+    since: int
+    revision: int
+    stamp_ns: int
+    tiles: int
+    cells: int
+
+
+def encode(delta: Delta) -> bytes:
+    """The delta as bytes; equal deltas give equal bytes."""
+    for name, profile in PROFILES.get(delta.map.model, {}).items():
+        if (message := _encode_rounded(delta, name, profile)) is not None:
+            return message
+    return _encode_exact(delta)
+
+
+def decode(message: bytes, cell: np.dtype[np.void], most_cells: int = MAX_CELLS) -> Delta:
+    """Bytes → delta of records of the dtype `cell`. Raises CodecError for anything but a whole, well-formed message of
+    at most so many cells."""
+    form, header, body = _opened(message)
+    if header.size[1] > most_cells:
+        raise CodecError(f"more than {most_cells} cells in one message")
+    map_ = _map(header)
+    read = _rounded_tiles if isinstance(header, _Rounded) else _exact_tiles
+    tiles = read(form, header, body, map_.lattice.tile_cells, cell)
+    delta = Delta(map_, header.robot, header.since, header.revision, header.stamp_ns, tiles)
+    try:
+        # A rounded form can't say what is wrong with cells: they were checked as they were read.
+        (check_outline if isinstance(header, _Rounded) else check_content)(delta)
+    except DeltaError as error:
+        raise CodecError(str(error)) from error
+    return delta
+
+
+def heading(message: bytes) -> Heading:
+    """What a delta's header says; its cells stay packed. Raises CodecError for bytes without a readable one."""
+    form, header, _ = _opened(message)
+    return Heading(_map(header), form, header.robot, header.since, header.revision, header.stamp_ns, *header.size)
+
+
+def _opened(message: bytes) -> tuple[str, _Exact | _Rounded, memoryview]:
+    """(form, header, body) of bytes that are whole."""
+    if len(message) < START.size + 4 or len(message) > MAX_MESSAGE or message[:3] != MAGIC:
+        raise CodecError("not a terrafuse delta")
+    _, version, form, length = START.unpack_from(message)
+    if version != VERSION:
+        raise CodecError(f"a delta of format version {version}; this terrafuse reads version {VERSION}")
+    view = memoryview(message)
+    if zlib.crc32(view[:-4]) != struct.unpack("<I", view[-4:])[0]:
+        raise CodecError("a damaged delta: its checksum is wrong")
+    if START.size + length > len(message) - 4:
+        raise CodecError("a header longer than its message")
+    if form not in FORMS:
+        raise CodecError(f"a delta of form {form}; this terrafuse reads {', '.join(map(str, FORMS))}")
+    try:
+        read = _read_rounded if form else _read_exact
+        return FORMS[form], read(view[START.size : START.size + length]), view[START.size + length : -4]
+    except (msgspec.DecodeError, msgspec.ValidationError) as error:
+        raise CodecError(f"a header that can't be read: {error}") from error
+
+
+def _map(header: _Header) -> MapId:
+    try:
+        map_ = MapId(header.model, header.resolution_m, header.tile_m, header.crs)
+        map_.lattice  # noqa: B018, it is checked when it is made
+    except LatticeError as error:
+        raise CodecError(f"an impossible lattice: {error}") from error
+    return map_
+
+
+def _sealed(form: str, header: _Header, bodies: Sequence[bytes]) -> bytes:
+    head = _encode_header(header)
+    body = b"".join([START.pack(MAGIC, VERSION, CODES[form], len(head)), head, *bodies])
+    return body + struct.pack("<I", zlib.crc32(body))
+
+
+def _common(delta: Delta) -> dict[str, Any]:
+    return {
+        "model": delta.map.model,
+        "resolution_m": _short(delta.map.resolution_m),
+        "tile_m": _short(delta.map.tile_m),
+        "crs": delta.map.crs,
+        "robot": delta.robot,
+        "since": delta.since,
+        "revision": delta.revision,
+        "stamp_ns": delta.stamp_ns,
+    }
+
+
+def _short(number: float) -> float:
+    """Whole numbers as such: eight bytes less."""
+    return int(number) if number == int(number) else number
+
+
+# --- exact ------------------------------------------------------------------------------------------------------------
 
 
 def fields_of(dtype: np.dtype[np.void]) -> list[tuple[str, str]]:
     return [(name, dtype[name].str) for name in dtype.names or ()]
+
+
+def _encode_exact(delta: Delta) -> bytes:
+    frames = [pack_cells(tile.at, tile.cells) for tile in delta.tiles]
+    fields = fields_of(delta.tiles[0].cells.dtype) if delta.tiles else []
+    tiles = [_Tile(*tile.key, len(tile.at)) for tile in delta.tiles]
+    header = _Exact(**_common(delta), tiles=tiles, fields=fields, sizes=[len(frame) for frame in frames])
+    return _sealed(EXACT, header, frames)
+
+
+def _exact_tiles(form: str, header: Any, body: memoryview, side: int, cell: np.dtype[np.void]) -> tuple[TileCells, ...]:
+    if header.tiles and header.fields != fields_of(cell):
+        raise CodecError(f"cells of '{header.model}' with fields {header.fields}, not {fields_of(cell)}")
+    if (
+        len(header.sizes) != len(header.tiles)
+        or sum(header.sizes) != len(body)
+        or any(size < 0 for size in header.sizes)
+    ):
+        raise CodecError("frames that do not fill the message")
+    ends = accumulate(header.sizes)
+    return tuple(
+        TileCells(TileKey(tile.x, tile.y, tile.level), *unpack_cells(body[end - size : end], tile.count, cell, side))
+        for tile, size, end in zip(header.tiles, header.sizes, ends, strict=True)
+    )
+
+
+def pack_cells(at: Array, cells: Array) -> bytes:
+    """Positions (K,) and records (K,) → one zstd frame."""
+    raw = _columns(at.astype("<u4")) + _columns(np.ascontiguousarray(cells))
+    return zstandard.ZstdCompressor(level=ZSTD_LEVEL).compress(raw)
+
+
+def unpack_cells(
+    frame: bytes | memoryview, count: int, dtype: np.dtype[np.void], tile_cells: int
+) -> tuple[Array, Array]:
+    """The inverse of `pack_cells`; raises CodecError unless the frame holds exactly `count` cells of a tile."""
+    if not 0 < count <= tile_cells * tile_cells:
+        raise CodecError(f"a tile of {tile_cells}×{tile_cells} cells can't hold {count}")
+    size = int(columns.fields_of(dtype).sizes.sum())
+    try:
+        if zstandard.frame_content_size(frame) != count * (4 + size):
+            raise CodecError(f"a frame that does not hold {count} cells of {size} bytes")
+        raw = zstandard.ZstdDecompressor().decompress(frame, max_output_size=count * (4 + size), allow_extra_data=False)
+    except zstandard.ZstdError as error:
+        raise CodecError(f"a damaged frame: {error}") from error
+    whole = np.frombuffer(raw, np.uint8)
+    at = _records(whole[: 4 * count], count, np.dtype("<u4")).astype(np.int64)
+    if at[-1] >= tile_cells * tile_cells or (np.diff(at) <= 0).any():
+        raise CodecError("positions that do not rise within their tile")
+    return at.astype(np.int32), _records(whole[4 * count :], count, dtype)
 
 
 def _columns(records: Array) -> bytes:
@@ -78,102 +263,77 @@ def _bytes(records: Array) -> Array:
     return records.view(np.uint8).reshape(len(records), records.dtype.itemsize)
 
 
-def pack_cells(at: Array, cells: Array) -> bytes:
-    """Positions (K,) and records (K,) → one zstd frame."""
-    raw = _columns(at.astype("<u4")) + _columns(np.ascontiguousarray(cells))
-    return zstandard.ZstdCompressor(level=ZSTD_LEVEL).compress(raw)
+# --- rounded ----------------------------------------------------------------------------------------------------------
 
 
-def unpack_cells(frame: bytes, count: int, dtype: np.dtype[np.void], tile_cells: int) -> tuple[Array, Array]:
-    """The inverse of `pack_cells`; raises CodecError unless the frame holds exactly `count` cells of a tile."""
-    if not 0 < count <= tile_cells * tile_cells:
-        raise CodecError(f"a tile of {tile_cells}×{tile_cells} cells can't hold {count}")
-    size = int(columns.fields_of(dtype).sizes.sum())
-    try:
-        if zstandard.frame_content_size(frame) != count * (4 + size):
-            raise CodecError(f"a frame that does not hold {count} cells of {size} bytes")
-        raw = zstandard.ZstdDecompressor().decompress(frame, max_output_size=count * (4 + size), allow_extra_data=False)
-    except zstandard.ZstdError as error:
-        raise CodecError(f"a damaged frame: {error}") from error
-    whole = np.frombuffer(raw, np.uint8)
-    at = _records(whole[: 4 * count], count, np.dtype("<u4")).astype(np.int64)
-    if at[-1] >= tile_cells * tile_cells or (np.diff(at) <= 0).any():
-        raise CodecError("positions that do not rise within their tile")
-    return at.astype(np.int32), _records(whole[4 * count :], count, dtype)
+def _encode_rounded(delta: Delta, name: str, profile: Profile) -> bytes | None:
+    """None for cells that this profile has not rounded."""
+    if not delta.tiles or any(tile.key.level for tile in delta.tiles):
+        return None
+    cells = np.concatenate([tile.cells for tile in delta.tiles])
+    numbers = profile.numbers(cells)
+    again = profile.cells(numbers)
+    again["stamp"], again["revision"] = cells["stamp"], cells["revision"]
+    if (opaque(again) != opaque(cells)).any() or not profile.holds(numbers):
+        return None
+    pairs, seen = _pairs(cells)
+    backs = [delta.revision - revision for _, revision in pairs]
+    ages = [delta.stamp_ns - stamp for stamp, _ in pairs]
+    counts, unit_ns = [len(tile.at) for tile in delta.tiles], gcd(*ages) or 1
+    ages = [age // unit_ns for age in ages]
+    header = _Rounded(**_common(delta), tiles=len(counts), cells=sum(counts), unit_ns=unit_ns, backs=backs, ages=ages)
+    keys = np.array([(tile.key.x, tile.key.y) for tile in delta.tiles], np.int64)
+    places = np.concatenate([tile.at for tile in delta.tiles]).astype(np.int64)
+    starts, side = np.cumsum([0, *counts]), delta.map.lattice.tile_cells
+    body = adaptive.packed(keys, starts, side, places, np.vstack([seen, numbers]), profile.plan)
+    return _sealed(name, header, [body])
 
 
-def encode(delta: Delta) -> bytes:
-    """The delta as bytes; equal deltas give equal bytes."""
-    frames = [pack_cells(tile.at, tile.cells) for tile in delta.tiles]
-    header = _Header(
-        **{name: getattr(delta.map, name) for name in ("model", "resolution_m", "tile_m", "crs")},
-        robot=delta.robot,
-        since=delta.since,
-        revision=delta.revision,
-        stamp_ns=delta.stamp_ns,
-        fields=fields_of(delta.tiles[0].cells.dtype) if delta.tiles else [],
-        tiles=[_Tile(*tile.key, len(tile.at), len(frame)) for tile, frame in zip(delta.tiles, frames, strict=True)],
+def _pairs(cells: Array) -> tuple[list[tuple[int, int]], Array]:
+    """The distinct (stamp, revision), the most frequent first, and each cell's number among these."""
+    both = np.empty(len(cells), [("stamp", "<i8"), ("revision", "<i8")])
+    both["stamp"], both["revision"] = cells["stamp"], cells["revision"]
+    pairs, seen, counts = np.unique(both, return_inverse=True, return_counts=True)
+    order = np.argsort(-counts, kind="stable")
+    rank = np.empty(len(pairs), np.int64)
+    rank[order] = np.arange(len(pairs))
+    return pairs[order].tolist(), rank[seen.reshape(-1)]
+
+
+def _rounded_tiles(
+    form: str, header: Any, body: memoryview, side: int, cell: np.dtype[np.void]
+) -> tuple[TileCells, ...]:
+    profile = PROFILES.get(header.model, {}).get(form)
+    if profile is None:
+        raise CodecError(f"cells of '{header.model}' in the form '{form}', which this terrafuse does not know")
+    if not 0 < header.tiles <= header.cells <= header.tiles * side * side:
+        raise CodecError(f"{header.tiles} tiles of {side}×{side} cells can't hold {header.cells}")
+    stamps, revisions = _table(header)
+    found = adaptive.unpacked(
+        np.frombuffer(body, np.uint8), header.tiles, header.cells, side, profile.plan, len(stamps)
     )
-    head = _encode_header(header)
-    body = b"".join([MAGIC, bytes([VERSION]), struct.pack("<I", len(head)), head, *frames])
-    return body + struct.pack("<I", zlib.crc32(body))
+    if found is None:
+        raise CodecError("a body that does not hold the cells that its header tells of")
+    cells = profile.cells(found.numbers[1:])
+    if cells.dtype != cell:
+        raise CodecError(f"cells of '{header.model}' with fields {fields_of(cells.dtype)}, not {fields_of(cell)}")
+    cells["stamp"], cells["revision"] = stamps[found.numbers[0]], revisions[found.numbers[0]]
+    edges = found.starts.tolist()
+    return tuple(
+        TileCells(TileKey(x, y), found.places[first:end], cells[first:end])
+        for (x, y), first, end in zip(found.keys.tolist(), edges, edges[1:], strict=False)
+    )
 
 
-def decode(message: bytes, cell: np.dtype[np.void]) -> Delta:
-    """Bytes → delta of records of the dtype `cell`. Raises CodecError for anything but a whole, well-formed message."""
-    header, body_at = _head(message)
-    if header.tiles and header.fields != fields_of(cell):
-        raise CodecError(f"cells of '{header.model}' with fields {header.fields}, not {fields_of(cell)}")
-    try:
-        map_ = MapId(header.model, header.resolution_m, header.tile_m, header.crs)
-        side = map_.lattice.tile_cells
-    except LatticeError as error:
-        raise CodecError(f"an impossible lattice: {error}") from error
-    if sum(tile.size for tile in header.tiles) != len(message) - 4 - body_at or any(t.size < 0 for t in header.tiles):
-        raise CodecError("frames that do not fill the message")
-    if sum(tile.count for tile in header.tiles) > MAX_CELLS:
-        raise CodecError(f"more than {MAX_CELLS} cells in one message")
-    tiles = []
-    for tile in header.tiles:
-        frame = message[body_at : body_at + tile.size]
-        body_at += tile.size
-        at, cells = unpack_cells(frame, tile.count, cell, side)
-        tiles.append(TileCells(TileKey(tile.x, tile.y, tile.level), at, cells))
-    delta = Delta(map_, header.robot, header.since, header.revision, header.stamp_ns, tuple(tiles))
-    try:
-        check_content(delta)
-    except DeltaError as error:
-        raise CodecError(str(error)) from error
-    return delta
-
-
-class Heading(NamedTuple):
-    """Whose delta it is, and from which revision to which."""
-
-    robot: str
-    since: int
-    revision: int
-
-
-def heading(message: bytes) -> Heading:
-    """What a delta's header says; its cells stay packed. Raises CodecError for bytes without a readable one."""
-    header, _ = _head(message)
-    return Heading(header.robot, header.since, header.revision)
-
-
-def _head(message: bytes) -> tuple[_Header, int]:
-    """The checked header, and where the frames begin."""
-    if len(message) < 12 or len(message) > MAX_MESSAGE or message[:3] != MAGIC:
-        raise CodecError("not a terrafuse delta")
-    if message[3] != VERSION:
-        raise CodecError(f"a delta of format version {message[3]}; this terrafuse reads version {VERSION}")
-    if zlib.crc32(message[:-4]) != struct.unpack("<I", message[-4:])[0]:
-        raise CodecError("a damaged delta: its checksum is wrong")
-    (length,) = struct.unpack("<I", message[4:8])
-    if 8 + length > len(message) - 4:
-        raise CodecError("a header longer than its message")
-    try:
-        header = _decode_header(message[8 : 8 + length])
-    except (msgspec.DecodeError, msgspec.ValidationError) as error:
-        raise CodecError(f"a header that can't be read: {error}") from error
-    return header, 8 + length
+def _table(header: _Rounded) -> tuple[Array, Array]:
+    """Stamps and revisions of cells, by their numbers."""
+    if not 0 < len(header.backs) == len(header.ages) <= header.cells:
+        raise CodecError(f"{len(header.backs)} revisions and {len(header.ages)} stamps for {header.cells} cells")
+    stamps = [header.stamp_ns - age * header.unit_ns for age in header.ages]
+    if min(stamps) < 0 or max(stamps) >= 2**63:
+        raise CodecError("cells from before 1970, or from times beyond 63 bits")
+    if header.revision > MAX_REVISION:
+        raise CodecError(f"impossible revisions up to {header.revision}")
+    if min(header.backs) < 0 or max(header.backs) >= header.revision:
+        raise CodecError("cells of revisions newer than the delta, or none")
+    return np.array(stamps, np.int64), np.array([header.revision - back for back in header.backs], np.uint32)

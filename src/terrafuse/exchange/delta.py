@@ -4,6 +4,7 @@ order is harmless: of two states of a cell, the one with the newer revision coun
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -76,26 +77,47 @@ class Delta:
 
 def check_content(delta: Delta) -> None:
     """Raise DeltaError for what no mapper makes: a message may say anything, and one bad cell would stay for good."""
+    check_outline(delta)
+    check_cells(delta)
+
+
+def check_outline(delta: Delta) -> None:
+    """`check_content`, of all but the cells."""
     if not is_robot_name(delta.robot):
         raise DeltaError(f"robot {delta.robot!r}: a name has 1 to {MAX_NAME} printable characters")
     if not 0 <= delta.since <= delta.revision <= MAX_REVISION or not 0 <= delta.stamp_ns < 2**63:
         raise DeltaError(f"impossible revisions {delta.since} to {delta.revision} or stamp {delta.stamp_ns}")
-    if any(one.key >= following.key for one, following in pairwise(delta.tiles)):
+    if any(one >= following for one, following in pairwise(tile.key for tile in delta.tiles)):
         raise DeltaError("tiles that do not rise")
-    side = delta.map.lattice.tile_cells
+    most = MAX_CELL // delta.map.lattice.tile_cells
+    for key in (tile.key for tile in delta.tiles):
+        if max(abs(key.x), abs(key.y)) > most or key.level != 0:
+            raise DeltaError(f"tile {tuple(key)} is not on the lattice (levels other than 0 are not exchanged yet)")
+
+
+def check_cells(delta: Delta) -> None:
+    """`check_content`, of the cells. All at once: which tile is at fault is asked only where one is."""
     for tile in delta.tiles:
-        _check_tile(tile, side, delta.revision)
+        if len(tile.at) != len(tile.cells) or not len(tile.at):
+            raise DeltaError(f"tile {tuple(tile.key)} has {len(tile.at)} positions for {len(tile.cells)} cells")
+    if delta.tiles and _flaw(*_together(delta.tiles), delta):
+        for tile in delta.tiles:
+            if flaw := _flaw(*_together([tile]), delta):
+                raise DeltaError(f"tile {tuple(tile.key)} has {flaw}")
 
 
-def _check_tile(tile: TileCells, side: int, revision: int) -> None:
-    where = f"tile {tuple(tile.key)}"
-    if max(abs(tile.key.x), abs(tile.key.y)) * side > MAX_CELL or tile.key.level != 0:
-        raise DeltaError(f"{where} is not on the lattice (levels other than 0 are not exchanged yet)")
-    if len(tile.at) != len(tile.cells) or not len(tile.at):
-        raise DeltaError(f"{where} has {len(tile.at)} positions for {len(tile.cells)} cells")
-    if tile.at[0] < 0 or tile.at[-1] >= side * side or (np.diff(tile.at) <= 0).any():
-        raise DeltaError(f"{where} has positions that do not rise within it")
-    if (tile.cells["revision"] > revision).any() or (tile.cells["revision"] < 1).any():
-        raise DeltaError(f"{where} has cells of revisions outside 1 to {revision}: newer than the delta, or none")
-    if (tile.cells["stamp"] < 0).any():
-        raise DeltaError(f"{where} has cells from before 1970")
+def _together(tiles: Sequence[TileCells]) -> tuple[Array, Array, Array]:
+    """Where tiles begin, and the positions and cells of all."""
+    starts = np.cumsum([0, *(len(tile.at) for tile in tiles[:-1])])
+    return starts, np.concatenate([tile.at for tile in tiles]), np.concatenate([tile.cells for tile in tiles])
+
+
+def _flaw(starts: Array, at: Array, cells: Array, delta: Delta) -> str | None:
+    side, revisions = delta.map.lattice.tile_cells, np.ascontiguousarray(cells["revision"])
+    steps = np.diff(at, prepend=-1)
+    steps[starts] = 1
+    if at.min() < 0 or at.max() >= side * side or steps.min() <= 0:
+        return "positions that do not rise within it"
+    if revisions.max() > delta.revision or revisions.min() < 1:
+        return f"cells of revisions outside 1 to {delta.revision}: newer than the delta, or none"
+    return "cells from before 1970" if cells["stamp"].min() < 0 else None

@@ -1,0 +1,488 @@
+"""Columns of small numbers as few bytes: an adaptive binary range coder, and the differences that it is fed with.
+
+A symbol s ≥ 0 falls into a class: 0, 1 and 2 are classes by themselves, class c from 3 on holds the 2ᶜ⁻² symbols from
+2ᶜ⁻² + 1 on. The class is sent in unary, its bits coded by how often they were what. That is learnt while coding:
+nothing is sent for it, so that messages of a hundred cells gain, too. Which symbol of its class it is, is close to
+noise and stands in c - 2 plain bits. Two streams share the bytes: coded bits from the front, plain ones from the end.
+
+The coder is LZMA's: 32 bits of range, carries passed on. Decoding trusts nothing: it says False where bytes run out,
+are left over, or spell a number that can't be.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from terrafuse.types import Array
+
+DIRECT = 2
+"""The largest symbol that is a class by itself; a class c above it has c - 2 plain bits."""
+MOST_CLASS = 48
+"""So that numbers stay below 2⁴⁷, and sums of a few within 63 bits."""
+CLASSES = MOST_CLASS + 1
+CONTEXTS = 8
+"""A class is learnt apart by the class of the symbol before it in the column: 0 to 6, or more."""
+ONE, HALF = 1 << 16, 1 << 15
+"""Probabilities in 1/65536."""
+STEADY = 62
+"""A bit that comes after n others of its kind counts 1/(n + 2), but never less than 1/64."""
+SHARE = np.array([ONE // (n + 2) for n in range(STEADY + 1)])
+RENEW, FULL_RANGE = 1 << 24, (1 << 32) - 1
+
+PLAIN, SIGNED, PREDICTED = range(3)
+"""What a column's symbols are: its numbers, which are ≥ 0; its numbers, folded (0, -1, 1, -2, ...); their differences
+to what the neighbours let expect, folded."""
+MOST = 1 << 44
+"""No number is further from 0."""
+ALWAYS = -1
+"""A column that has a symbol for each cell, not only where another column is not 0."""
+
+
+class Plan(NamedTuple):
+    """What columns hold, (C,) int64 each: their kinds, where they have symbols (where that column is not 0, or ALWAYS),
+    their least and greatest numbers."""
+
+    kinds: Array
+    where: Array
+    lowest: Array
+    highest: Array
+
+
+@njit(inline="always")
+def fold(number):
+    return (number << 1) ^ (number >> 63)
+
+
+@njit(inline="always")
+def unfold(symbol):
+    return (symbol >> 1) ^ -(symbol & 1)
+
+
+@njit(inline="always")
+def expected(numbers, k, west, north):
+    """What cell k's neighbours let expect: LOCO-I's median of W, N and W + N - NW; else the one there is; else the cell
+    before."""
+    w, n = west[k], north[k]
+    if w >= 0 and n >= 0:
+        a, b = numbers[w], numbers[n]
+        if north[w] < 0:
+            return (a + b) >> 1
+        c = numbers[north[w]]
+        return min(a, b) if c >= max(a, b) else max(a, b) if c <= min(a, b) else a + b - c
+    if w >= 0:
+        return numbers[w]
+    if n >= 0:
+        return numbers[n]
+    return numbers[k - 1] if k > 0 else np.int64(0)
+
+
+@njit(cache=True, nogil=True)
+def neighbours(at, starts, side, west, north):
+    """Of each cell the number of the one at (i - 1, j), `west`, and of the one at (i, j - 1), `north`, as pictures have
+    it; -1 where the tile holds none.
+
+    at (K,) flat positions, rising within each tile; tile t holds starts[t]:starts[t + 1].
+    """
+    latest = np.full(side, -1, np.int64)
+    for t in range(starts.shape[0] - 1):
+        first = starts[t]
+        for k in range(first, starts[t + 1]):
+            i = at[k] % side
+            west[k] = k - 1 if i > 0 and k > first and at[k - 1] == at[k] - 1 else -1
+            last = latest[i]
+            north[k] = last if last >= first and at[last] == at[k] - side else -1
+            latest[i] = k
+
+
+@njit(cache=True, nogil=True)
+def to_symbols(numbers, kinds, where, west, north, symbols):
+    """numbers (C, K) int64 → symbols (C, K); -1 where a column has none: where column where[c] is 0."""
+    for c in range(numbers.shape[0]):
+        for k in range(numbers.shape[1]):
+            number = numbers[c, k]
+            if where[c] >= 0 and numbers[where[c], k] == 0:
+                symbols[c, k] = -1
+            elif kinds[c] == PLAIN:
+                symbols[c, k] = number
+            elif kinds[c] == SIGNED:
+                symbols[c, k] = fold(number)
+            else:
+                symbols[c, k] = fold(number - expected(numbers[c], k, west, north))
+
+
+@njit(inline="always")
+def class_of(symbol):
+    if symbol <= DIRECT:
+        return symbol
+    bits = 1
+    while (symbol - 1) >> (bits + 1):
+        bits += 1
+    return DIRECT + bits
+
+
+# --- writing ----------------------------------------------------------------------------------------------------------
+
+
+@njit(inline="always")
+def _shift(low, out, front, held, pending, begun):
+    """Give out the highest byte of `low` once no carry can change it any more."""
+    if low < 0xFF000000 or low > FULL_RANGE:
+        carry = low >> 32
+        if begun:
+            out[front] = (held + carry) & 255
+            front += 1
+        for _ in range(pending):
+            out[front] = (255 + carry) & 255
+            front += 1
+        return front, (low >> 24) & 255, 0, True
+    return front, held, pending + 1, begun
+
+
+@njit(cache=True, nogil=True)
+def write(symbols, counts, out):
+    """Columns of symbols, -1 for none, counts[c] of them each, one after the other → how many bytes of `out` they take;
+    0 if it is too small."""
+    chance, seen = np.empty(CONTEXTS * CLASSES, np.int64), np.empty(CONTEXTS * CLASSES, np.int64)
+    low, range_, held, pending, begun = 0, FULL_RANGE, 0, 0, False
+    front, back, plain, plain_bits, first = 0, out.shape[0], 0, 0, 0
+    for c in range(counts.shape[0]):
+        chance[:], seen[:], before = HALF, 0, 0
+        for k in range(first, first + counts[c]):
+            symbol = symbols[k]
+            if symbol < 0:
+                continue
+            own = class_of(symbol)
+            for step in range(own + 1):
+                place = before * CLASSES + step
+                p, share = chance[place], SHARE[seen[place]]
+                seen[place] = min(seen[place] + 1, STEADY)
+                bound = (range_ >> 16) * p
+                if step == own:
+                    range_ = bound
+                    chance[place] = p + (((ONE - p) * share) >> 16)
+                else:
+                    low += bound
+                    range_ -= bound
+                    chance[place] = p - ((p * share) >> 16)
+                while range_ < RENEW:
+                    range_ <<= 8
+                    if front + pending + 16 > back:
+                        return 0
+                    front, held, pending, begun = _shift(low, out, front, held, pending, begun)
+                    low = (low & 0xFFFFFF) << 8
+            if own > DIRECT:
+                plain |= (symbol - 1 - (1 << (own - DIRECT))) << plain_bits
+                plain_bits += own - DIRECT
+                while plain_bits >= 8:
+                    if front + pending + 16 > back:
+                        return 0
+                    back -= 1
+                    out[back] = plain & 255
+                    plain >>= 8
+                    plain_bits -= 8
+            before = min(own, CONTEXTS - 1)
+        first += counts[c]
+    for _ in range(5):
+        front, held, pending, begun = _shift(low, out, front, held, pending, begun)
+        low = (low & 0xFFFFFF) << 8
+    if plain_bits:
+        back -= 1
+        out[back] = plain & 255
+    for k in range(back, out.shape[0]):
+        out[front + k - back] = out[k]
+    return front + out.shape[0] - back
+
+
+# --- reading ----------------------------------------------------------------------------------------------------------
+
+
+CODE, RANGE, FRONT, BACK, PLAIN_BITS, PLAIN_COUNT = range(6)
+"""Where reading is, as an array: the coded stream's code and range, where both streams go on, plain bits at hand and
+how many."""
+
+
+@njit(cache=True, nogil=True)
+def _begin(data):
+    code = (np.int64(data[0]) << 24) | (np.int64(data[1]) << 16) | (np.int64(data[2]) << 8) | np.int64(data[3])
+    return np.array([code, FULL_RANGE, 4, data.shape[0], 0, 0])
+
+
+@njit(cache=True, nogil=True)
+def _symbols(data, at, symbols):
+    """The next column, (N,); False where the bytes end before.
+
+    A whole column in one function, and what it counts with in locals: a function for a symbol takes ten times as long.
+    """
+    chance, seen = np.full(CONTEXTS * CLASSES, HALF, np.int64), np.zeros(CONTEXTS * CLASSES, np.int64)
+    code, range_, front, back, plain, plain_count = at[0], at[1], at[2], at[3], at[4], at[5]
+    first = 0
+    for k in range(symbols.shape[0]):
+        own, ends = 0, False
+        while not ends:
+            p, n = chance[first + own], seen[first + own]
+            seen[first + own] = n + (n < STEADY)
+            bound = (range_ >> 16) * p
+            ends = code < bound
+            if ends:
+                range_ = bound
+                chance[first + own] = p + (((ONE - p) * SHARE[n]) >> 16)
+            else:
+                code -= bound
+                range_ -= bound
+                chance[first + own] = p - ((p * SHARE[n]) >> 16)
+                own += 1
+                if own > MOST_CLASS:
+                    return False
+            while range_ < RENEW:
+                if front >= back:
+                    return False
+                range_ <<= 8
+                code = (code << 8) | np.int64(data[front])
+                front += 1
+        symbol, bits = own, own - DIRECT
+        if bits > 0:
+            while plain_count < bits:
+                if front >= back:
+                    return False
+                back -= 1
+                plain |= np.int64(data[back]) << plain_count
+                plain_count += 8
+            symbol = (np.int64(1) << bits) + (plain & ((np.int64(1) << bits) - 1)) + 1
+            plain >>= bits
+            plain_count -= bits
+        symbols[k] = symbol
+        first = CLASSES * min(own, CONTEXTS - 1)
+    at[0], at[1], at[2], at[3], at[4], at[5] = code, range_, front, back, plain, plain_count
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _tiles(data, at, cells, keys, starts):
+    """Differences of x, of y, and counts less one → keys (T, 2), starts (T + 1,); False unless there are so many cells,
+    and all keys below 2⁴⁴."""
+    tiles = keys.shape[0]
+    symbols = np.empty(tiles, np.int64)
+    for c in range(2):
+        if not _symbols(data, at, symbols):
+            return False
+        value = np.int64(0)
+        for t in range(tiles):
+            value += unfold(symbols[t])
+            if abs(value) > MOST:
+                return False
+            keys[t, c] = value
+    if not _symbols(data, at, symbols):
+        return False
+    starts[0] = 0
+    for t in range(tiles):
+        if symbols[t] >= cells - starts[t]:
+            return False
+        starts[t + 1] = starts[t] + symbols[t] + 1
+    return starts[tiles] == cells
+
+
+@njit(cache=True, nogil=True)
+def _places(gaps, starts, cells, places):
+    """Gaps between positions → positions; False if one is not below `cells`."""
+    for t in range(starts.shape[0] - 1):
+        free = np.int64(0)
+        for k in range(starts[t], starts[t + 1]):
+            place = free + gaps[k]
+            if place >= cells:
+                return False
+            places[k] = place
+            free = place + 1
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _numbers(kind, symbols, west, north, lowest, highest, numbers):
+    """Symbols → numbers; False if one is out of bounds."""
+    for k in range(symbols.shape[0]):
+        number = symbols[k] if kind == PLAIN else unfold(symbols[k])
+        if kind == PREDICTED:
+            number += expected(numbers, k, west, north)
+        if number < lowest or number > highest:
+            return False
+        numbers[k] = number
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _column(data, at, other, symbols):
+    """The next column's symbols, 0 where `other` is 0, at which it has none."""
+    if not _symbols(data, at, symbols[: np.count_nonzero(other)]):
+        return False
+    left = np.count_nonzero(other)
+    for k in range(symbols.shape[0] - 1, -1, -1):
+        if other[k] == 0:
+            symbols[k] = 0
+        else:
+            left -= 1
+            symbols[k] = symbols[left]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def read(data, side, kinds, where, lowest, highest, keys, starts, places, numbers):
+    """data (B,) uint8 → keys (T, 2), starts (T + 1,), places (K,), numbers (C, K); False unless it is just these.
+
+    Tile t of `side`² cells, keys[t], holds starts[t]:starts[t + 1] of the cells. Numbers of column c are lowest[c] to
+    highest[c].
+    """
+    if data.shape[0] < 4:
+        return False
+    at, cells = _begin(data), places.shape[0]
+    if not _tiles(data, at, cells, keys, starts):
+        return False
+    symbols = np.empty(cells, np.int64)
+    if not _symbols(data, at, symbols) or not _places(symbols, starts, np.int64(side) * side, places):
+        return False
+    west, north = np.empty(cells, np.int64), np.empty(cells, np.int64)
+    neighbours(places, starts, side, west, north)
+    for c in range(numbers.shape[0]):
+        told = _symbols(data, at, symbols) if where[c] < 0 else _column(data, at, numbers[where[c]], symbols)
+        if not told or not _numbers(kinds[c], symbols, west, north, lowest[c], highest[c], numbers[c]):
+            return False
+    return at[FRONT] == at[BACK] and at[PLAIN_BITS] == 0
+
+
+# --- for whoever has arrays -------------------------------------------------------------------------------------------
+
+
+def packed(keys: Array, starts: Array, side: int, places: Array, numbers: Array, plan: Plan) -> bytes:
+    """Tiles (T, 2), where each one's cells begin (T + 1,), positions (K,) and numbers (C, K), int64, as bytes."""
+    west, north = np.empty(len(places), np.int64), np.empty(len(places), np.int64)
+    neighbours(places, starts, side, west, north)
+    symbols = np.empty(numbers.shape, np.int64)
+    to_symbols(numbers, plan.kinds, plan.where, west, north, symbols)
+    gaps = np.diff(places, prepend=-1) - 1
+    gaps[starts[:-1]] = places[starts[:-1]]
+    tiles = [_folded(np.diff(keys[:, 0], prepend=0)), _folded(np.diff(keys[:, 1], prepend=0)), np.diff(starts) - 1]
+    every = np.concatenate([*tiles, gaps, symbols.reshape(-1)])
+    counts = np.array([len(keys)] * 3 + [len(places)] * (1 + len(numbers)), np.int64)
+    room = 64 + len(every)
+    while not (used := write(every, counts, out := np.empty(room, np.uint8))):
+        room *= 4
+    return out[:used].tobytes()
+
+
+def _folded(numbers: Array) -> Array:
+    return (numbers << 1) ^ (numbers >> 63)
+
+
+class Unpacked(NamedTuple):
+    """As `packed` takes it; places are int32."""
+
+    keys: Array
+    starts: Array
+    places: Array
+    numbers: Array
+
+
+def unpacked(data: Array, tiles: int, cells: int, side: int, plan: Plan, first: int) -> Unpacked | None:
+    """The inverse of `packed`, of so many tiles and cells; None for bytes that are not just these.
+
+    Numbers of the first column are below `first`.
+    """
+    highest = plan.highest.copy()
+    highest[0] = first - 1
+    out = Unpacked(
+        np.empty((tiles, 2), np.int64),
+        np.empty(tiles + 1, np.int64),
+        np.empty(cells, np.int32),
+        np.empty((len(plan.kinds), cells), np.int64),
+    )
+    return out if read(data, side, plan.kinds, plan.where, plan.lowest, highest, *out) else None
+
+
+# --- the same, to be read ---------------------------------------------------------------------------------------------
+
+
+class ReaderReference:
+    """The two streams of a body, read bit by bit: what `read` must equal."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data, self.front, self.back = data, 4, len(data)
+        self.range, self.code = FULL_RANGE, int.from_bytes(data[:4], "big")
+        self.plain, self.plain_bits = 0, 0
+
+    def coded(self, model: dict[tuple[int, int], tuple[int, int]], key: tuple[int, int]) -> bool:
+        p, n = model.get(key, (HALF, 0))
+        bound, share = (self.range >> 16) * p, ONE // (n + 2)
+        ends = self.code < bound
+        if ends:
+            self.range, p = bound, p + ((ONE - p) * share >> 16)
+        else:
+            self.code, self.range, p = self.code - bound, self.range - bound, p - (p * share >> 16)
+        model[key] = p, min(n + 1, STEADY)
+        while self.range < RENEW:
+            self.range, self.code = self.range << 8, self.code << 8 | self.data[self.front]
+            self.front += 1
+        return ends
+
+    def lower(self, count: int) -> int:
+        while self.plain_bits < count:
+            self.back -= 1
+            self.plain |= self.data[self.back] << self.plain_bits
+            self.plain_bits += 8
+        bits = self.plain & ((1 << count) - 1)
+        self.plain >>= count
+        self.plain_bits -= count
+        return bits
+
+    def column(self, count: int) -> list[int]:
+        """The next `count` symbols, all of one column."""
+        model: dict[tuple[int, int], tuple[int, int]] = {}
+        out, before = [], 0
+        for _ in range(count):
+            own = 0
+            while not self.coded(model, (before, own)):
+                own += 1
+            bits = max(own - DIRECT, 0)
+            out.append(own if own <= DIRECT else (1 << bits) + self.lower(bits) + 1)
+            before = min(own, CONTEXTS - 1)
+        return out
+
+
+def unfold_reference(symbol: int) -> int:
+    return -(symbol + 1) // 2 if symbol % 2 else symbol // 2
+
+
+def expected_reference(numbers: dict[tuple[int, int, int], int], tile: int, j: int, i: int, last: int) -> int:
+    """What `expected` must equal, of numbers by (tile, j, i)."""
+    w, n = numbers.get((tile, j, i - 1)), numbers.get((tile, j - 1, i))
+    if w is None or n is None:
+        return next((number for number in (w, n) if number is not None), last)
+    corner = numbers.get((tile, j - 1, i - 1))
+    return (w + n) // 2 if corner is None else sorted((w, n, w + n - corner))[1]
+
+
+def read_reference(data: bytes, tiles: int, cells: int, side: int, plan: Plan) -> Unpacked:
+    """What `unpacked` must equal, of bytes that are sound."""
+    reader = ReaderReference(data)
+    x, y = (np.cumsum([unfold_reference(symbol) for symbol in reader.column(tiles)]) for _ in range(2))
+    counts = [symbol + 1 for symbol in reader.column(tiles)]
+    tile_of = [t for t, count in enumerate(counts) for _ in range(count)]
+    places: list[int] = []
+    for k, gap in enumerate(reader.column(cells)):
+        places.append(gap if k == 0 or tile_of[k] != tile_of[k - 1] else places[-1] + 1 + gap)
+    columns: list[list[int]] = []
+    for kind, other in zip(plan.kinds.tolist(), plan.where.tolist(), strict=True):
+        chosen = [k for k in range(cells) if other == ALWAYS or columns[other][k]]
+        symbols = dict(zip(chosen, reader.column(len(chosen)), strict=True))
+        found: dict[tuple[int, int, int], int] = {}
+        column: list[int] = []
+        for k in range(cells):
+            number = symbols.get(k, 0) if kind == PLAIN else unfold_reference(symbols.get(k, 0))
+            place = tile_of[k], *divmod(places[k], side)
+            if kind == PREDICTED:
+                number += expected_reference(found, *place, column[-1] if column else 0)
+            found[place] = number
+            column.append(number)
+        columns.append(column)
+    starts = np.cumsum([0, *counts])
+    return Unpacked(np.stack([x, y], axis=1), starts, np.array(places, np.int32), np.array(columns, np.int64))

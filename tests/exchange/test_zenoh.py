@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 
@@ -185,3 +187,22 @@ def test_one_hung_robot_keeps_neither_others_nor_the_end_waiting(here: str) -> N
         ZenohLink("station", plain(listen=here)).close()
         for robot in (hung, well):
             robot.close()
+
+
+WITHOUT = """
+import sys
+sys.modules[sys.argv[1]] = None  # as where it is not installed
+from terrafuse.errors import MissingExtra
+from terrafuse.exchange.links.transport import Transport
+from terrafuse.exchange.links.zenoh import ZenohLink
+try:
+    ZenohLink("r4", Transport(connect="127.0.0.1", keys="nowhere"))
+except MissingExtra as error:
+    sys.stdout.write(str(error))
+"""
+
+
+@pytest.mark.parametrize(("module", "package"), [("zenoh", "eclipse-zenoh"), ("cryptography", "cryptography")])
+def test_what_is_not_installed_is_named_with_its_extra(module: str, package: str) -> None:
+    ran = subprocess.run([sys.executable, "-c", WITHOUT, module], capture_output=True, text=True, check=True)
+    assert ran.stdout.endswith(f"needs the package '{package}': pip install 'terrafuse[net]'")

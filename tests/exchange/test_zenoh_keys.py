@@ -237,3 +237,50 @@ def test_rules_that_are_damaged_leave_those_of_before(tmp_path: Path, here: str)
     assert with_rules.nodes() == ["r1"]
     for link in (robot, with_rules):
         link.close()
+
+
+def test_a_renewed_certificate_is_taken_while_the_robot_goes_on(tmp_path: Path, here: str) -> None:
+    fleet = Fleet.new(tmp_path / "fleet")
+    with station(listen=here, keys=fleet.add("station", station=True)) as process:
+        fleet.add("r1")
+        robot = link_of(fleet, "r1", here)
+        until(lambda: process.ask("nodes") == ["r1"], "r1")
+        before = robot.counts["connections"]
+        fleet.renew("r1")
+        until(lambda: robot.counts["connections"] > before and process.ask("nodes") == ["r1"], "r1, again")
+        robot.send("pose/r1", b"", 0)
+        assert "pose/r1" in heard(process, "pose/r1")
+        robot.close()
+
+
+def test_a_relay_speaks_for_a_robot_that_only_it_reaches(tmp_path: Path, here: str) -> None:
+    """r5 meets r6, and r6 the station: what r5 says ends at r6, what r6 says for it arrives; r5 hears the station."""
+    fleet, at_relay = Fleet.new(tmp_path / "fleet"), f"tls/{LOOPBACK}:{free_port()}"
+    keys = {"station": fleet.add("station", station=True), "r6": fleet.add("r6", relay_for=["r5"], hosts=[LOOPBACK])}
+    robot_keys = fleet.add("r5")
+    hub = ZenohLink("station", Transport(listen=here, keys=keys["station"]))
+    relay = ZenohLink("r6", Transport(listen=at_relay, connect=here, keys=keys["r6"]))
+    robot = ZenohLink("r5", Transport(connect=at_relay, keys=robot_keys))
+    for link in (hub, relay, robot):
+        link.listen("delta")
+        link.listen("post")
+    until(lambda: relay.nodes() == ["r5", "station"] and robot.nodes() == ["r6", "station"], "each other")
+    assert hub.nodes() == ["r6"]
+
+    def got(link: ZenohLink, sender: ZenohLink, topic: str) -> set[str]:
+        """Topics that came, until this one does: again and again, since who listens is not known everywhere at once."""
+        topics: set[str] = set()
+
+        def came() -> bool:
+            sender.send(topic, b"", 0)
+            topics.update(frame.topic for frame in link.receive(0))
+            return topic in topics
+
+        until(came, topic)
+        return topics
+
+    assert got(relay, robot, "delta/fine/r5/r5") == {"delta/fine/r5/r5"}
+    assert got(hub, relay, "delta/fine/r5/r6") == {"delta/fine/r5/r6"}
+    assert "post/r5/station" in got(robot, hub, "post/r5/station")
+    for link in (robot, relay, hub):
+        link.close()

@@ -139,9 +139,12 @@ class Fleet:
         return folder
 
     def _write_node(self, folder: Path, issued: Issued) -> None:
+        """The certificate last: who watches for a new one then finds all that belongs to it."""
+        ca = _read(self.ca / CA)
+        if not (folder / CA).exists() or _read(folder / CA) != ca:
+            _write(folder / CA, ca)
         _write(folder / KEY, issued.key, private=True)
         _write(folder / CERTIFICATE, issued.certificate)
-        _write(folder / CA, _read(self.ca / CA))
 
     def _write_rosters(self, roster: Roster) -> None:
         """To the fleet's folder, and to those of all who listen, who go by it."""

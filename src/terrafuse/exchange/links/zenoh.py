@@ -253,7 +253,7 @@ class ZenohLink:
         if self._met.is_set():
             self._met.clear()
             self._check_name()
-        if self._listens and self._identity is not None and self._identity.changed():
+        if self._identity is not None and self._identity.changed():
             self._renew()
         if self._shut_out():
             self._say(
@@ -271,11 +271,11 @@ class ZenohLink:
         return self._identity is not None and not self._alone and settled and not self.nodes()
 
     def _renew(self) -> None:
-        """Rules can't be changed on a session; a new one has them, and the others are back within a second."""
+        """Keys and rules can't be changed on a session; a new one has them, and the others are back within seconds."""
         try:
             self._identity = _identity(self.node, self.transport)
         except TerrafuseError as error:
-            self._say(f"{error}; the rules of before stay")
+            self._say(f"{error}; what was before stays in force")
         else:
             self._end_session()
 

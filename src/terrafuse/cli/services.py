@@ -302,7 +302,8 @@ def _progress(node: Node) -> str:
     of = "" if source.get("records") is None else f" of {source['records']}"
     lacks = sum(n for by in exchange.get("behind", {}).values() for robots in by.values() for n in robots.values())
     reached = "in reach" if set(exchange.get("stations", [])) <= set(exchange.get("peers", [])) else "not in reach"
-    return f"{mapping.get('revision', 0)}{of} scans mapped, {lacks} of them not at the station, which is {reached}"
+    left = f"lacks {lacks} pieces of it" if lacks else "has what was told"
+    return f"{mapping.get('revision', 0)}{of} scans mapped; the station {left}, and is {reached}"
 
 
 def _tell(nodes: Sequence[Node], done: bool, json: bool) -> None:

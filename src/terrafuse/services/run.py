@@ -35,7 +35,7 @@ def run(nodes: Sequence[Node], stop: threading.Event, watch: Watch = lambda node
         while not stop.is_set() and not _fault(nodes) and not (ending and all(node.done for node in ending)):
             stop.wait(LOOK_S)
             watch(nodes)
-        done = all(node.done for node in ending)
+        done = bool(ending) and all(node.done for node in ending)
     finally:
         left = _leave(nodes)
     if fault := _fault(nodes):

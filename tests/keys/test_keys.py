@@ -204,8 +204,8 @@ def allowed(who: Member, key: str) -> bool:
         ("terrafuse/post/station/r4", True, True, True),
         ("terrafuse/post/station/r5", False, False, False),
         ("terrafuse/other/r4", False, False, True),
-        ("terrafuse-nodes/r4/life", True, True, True),
-        ("terrafuse-nodes/r5/life", False, False, False),
+        ("terrafuse-nodes/end/r4/life", True, True, True),
+        ("terrafuse-nodes/hub/r5/life", False, False, False),
         ("terrafuse-names/r5", False, False, False),
     ],
 )

@@ -47,7 +47,7 @@ def keys_of(member: Member) -> list[str]:
     own = [f"{ROOT}/{kind}/**/{name}" for kind in OWN_KINDS]
     relayed = [f"{ROOT}/delta/**/{robot}/{name}" for robot in (name, *member.relay_for)]
     stations = [f"{ROOT}/**/{name}", f"{ROOT}/global/**", f"{ROOT}/correction/**"] if member.station else []
-    return [*own, *relayed, *stations, f"{SIGNS}/{name}/*", f"{NAMES}/{name}"]
+    return [*own, *relayed, *stations, f"{SIGNS}/*/{name}/*", f"{NAMES}/{name}"]
 
 
 def _hear() -> dict[str, Any]:

@@ -1,9 +1,13 @@
 """Who is there, and that no two nodes go by one name.
 
-Each life of a node puts up a sign, `terrafuse-nodes/NODE/LIFE`, which Zenoh takes down when its connection ends; and it
-answers to its name, `terrafuse-names/NODE`, with its LIFE. Signs alone would not do: that of a robot which was killed
-behind a dead connection stands for `hung_s`, and the robot, restarted, is not to be refused for its own ghost. So who
-sees a sign of its own name asks, and only an answer counts. Of two lives the older one stays.
+Each life of a node puts up a sign, `terrafuse-nodes/ROLE/NODE/LIFE`, which Zenoh takes down when its connection ends;
+and it answers to its name, `terrafuse-names/NODE`, with its LIFE. ROLE is `hub` for who listens, `end` for who only
+connects. An end looks for hubs and for its own name alone, until somebody asks it for all nodes: or a thousand robots
+would have a million signs to read whenever their station comes back.
+
+Signs alone would not do: that of a robot which was killed behind a dead connection stands for `hung_s`, and the robot,
+restarted, is not to be refused for its own ghost. So who sees a sign of its own name asks, and only an answer counts.
+Of two lives the older one stays.
 """
 
 from __future__ import annotations
@@ -11,6 +15,7 @@ from __future__ import annotations
 import secrets
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from terrafuse.exchange.links.topics import key_of, topic_of
@@ -29,26 +34,36 @@ class Presence:
     """One node's, for as long as it lives: over all its sessions. `on_namesake()` is called, by whatever thread, when
     there is a sign of another life of its name."""
 
-    def __init__(self, node: str, on_namesake: Callable[[], None]) -> None:
+    def __init__(self, node: str, hub: bool, on_namesake: Callable[[], None]) -> None:
         self.node, self.life = node, new_life()
+        self._role, self._sees_all = ("hub" if hub else "end"), hub
+        self._session: Any = None
         self._on_namesake = on_namesake
         self._signs: set[tuple[str, str]] = set()
 
     def nodes(self) -> list[str]:
-        """The other nodes, sorted."""
+        """The other nodes, sorted. At an end, the first answer may have those who listen only."""
+        if not self._sees_all:
+            self._sees_all = True
+            self._watch("end/*/*")
         return sorted({node for node, _ in self._signs.copy() if node != self.node})
+
+    @property
+    def accompanied(self) -> bool:
+        """Whether there is a sign of anybody else."""
+        return any(node != self.node for node, _ in self._signs.copy())
 
     def join(self, session: Any) -> None:
         """Put up the sign on a new session, and watch for others'."""
         import zenoh
 
-        self._signs = set()
+        self._session, self._signs = session, set()
         name = f"{NAMES}/{key_of(self.node)}"
         answer: Any = zenoh.handlers.Callback(lambda query: query.reply(name, self.life), indirect=False)
         session.declare_queryable(name, answer)
-        self._sign = session.liveliness().declare_token(f"{SIGNS}/{key_of(self.node)}/{self.life}")
-        watch = zenoh.handlers.Callback(self._see, indirect=False)
-        session.liveliness().declare_subscriber(f"{SIGNS}/*/*", watch, history=True)
+        self._sign = session.liveliness().declare_token(f"{SIGNS}/{self._role}/{key_of(self.node)}/{self.life}")
+        for signs in ("hub/*/*", "end/*/*" if self._sees_all else f"end/{key_of(self.node)}/*"):
+            self._watch(signs)
 
     def namesake(self, session: Any) -> str | None:
         """The older life that answers to this node's name, if there is one."""
@@ -65,11 +80,19 @@ class Presence:
         return min((life for life in lives if life < self.life), default=None)
 
     def lost(self) -> None:
-        """The connection is gone; what is known of others is too."""
-        self._signs = set()
+        """The session is gone; what is known of others is too."""
+        self._session, self._signs = None, set()
+
+    def _watch(self, signs: str) -> None:
+        if (session := self._session) is not None:
+            import zenoh
+
+            see = zenoh.handlers.Callback(self._see, indirect=False)
+            with suppress(zenoh.ZError):  # closed meanwhile
+                session.liveliness().declare_subscriber(f"{SIGNS}/{signs}", see, history=True)
 
     def _see(self, sample: Any) -> None:
-        _, node, life = topic_of(str(sample.key_expr)).split("/")
+        _, _, node, life = topic_of(str(sample.key_expr)).split("/")
         if str(sample.kind) != "SampleKind.PUT":
             self._signs.discard((node, life))
             return

@@ -63,7 +63,7 @@ class ZenohLink:
         self._tell = tell
         self._listens, self._connects = addresses(transport)
         self._identity = _identity(node, transport)
-        self._presence = Presence(node, self._meet_namesake)
+        self._presence = Presence(node, bool(self._listens), self._meet_namesake)
         self._topics: dict[str, Any] = {}
         """Listened to; Zenoh's subscriber of each, once there is a session."""
         self._arrived: deque[Frame] = deque()
@@ -100,7 +100,8 @@ class ZenohLink:
 
     def nodes(self) -> list[str]:
         """The other nodes that are there, sorted, as far as a connection leads to them: none while there is none. One
-        that was killed leaves at once, one whose connection hangs after `hung_s`."""
+        that was killed leaves at once, one whose connection hangs after `hung_s`. A node that only connects looks for
+        all when it is first asked: that answer may lack some."""
         return self._presence.nodes()
 
     def listen(self, topic: str) -> None:
@@ -268,7 +269,7 @@ class ZenohLink:
     def _shut_out(self) -> bool:
         """Whether there is a connection, for long enough, and still no sign even of who is at its other end."""
         settled = time.monotonic() - self._linked_s > NO_WORD_S
-        return self._identity is not None and not self._alone and settled and not self.nodes()
+        return self._identity is not None and not self._alone and settled and not self._presence.accompanied
 
     def _renew(self) -> None:
         """Keys and rules can't be changed on a session; a new one has them, and the others are back within seconds."""

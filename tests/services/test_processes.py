@@ -65,7 +65,7 @@ def test_kitti_in_three(recordings: Path, tmp_path: Path) -> None:
 
 def test_freiburg_in_three(recordings: Path, tmp_path: Path) -> None:
     options = ["--model", "occupancy", "--resolution", "0.1"]
-    through_faults(freiburg(recordings, tmp_path, every=10), options, 30_000, tmp_path)
+    through_faults(freiburg(recordings, tmp_path, every=20), options, 30_000, tmp_path)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

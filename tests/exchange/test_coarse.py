@@ -14,7 +14,7 @@ from terrafuse.errors import LatticeError
 from terrafuse.exchange.coarse import CoarseContribution, delta_since
 from terrafuse.exchange.codec import decode, encode
 from terrafuse.exchange.delta import Delta, check_content
-from terrafuse.exchange.own import Own
+from terrafuse.exchange.own import LIFE, Own
 from terrafuse.exchange.parts import oldest
 from terrafuse.lattice import Lattice
 from terrafuse.mapper import Mapper
@@ -186,19 +186,21 @@ def test_a_delta_in_parts_is_the_delta(seed: int, most: int) -> None:
 # --- lives -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_later_life_counts_on_from_what_others_hold() -> None:
+def test_a_later_life_counts_on_from_beyond_what_others_hold() -> None:
     mapper = Mapper("r1", LATTICE, ELEVATION)
     own = Own(mapper)
+    own.begin(0)
     assert own.surpass(40)
     assert not own.surpass(40)
     assert own.revision == 0
     mapper.integrate(scan_of([[0.2, 0.2, 1.0]]))
     mapper.integrate(scan_of([[2.2, 0.2, 1.0]], 1))
-    assert own.revision == 42
-    for since, begins, revisions in ((0, 40, [41, 42]), (40, 40, [41, 42]), (41, 41, [42]), (42, 42, [])):
+    first, second = LIFE + 1, LIFE + 2
+    assert own.revision == second
+    for since, revisions in ((0, [first, second]), (40, [first, second]), (first, [second]), (second, [])):
         delta = own.delta(since)
         check_content(delta)
-        assert (delta.since, delta.revision) == (begins, 42)
+        assert (delta.since, delta.revision) == (since, second)
         assert [int(r) for tile in delta.tiles for r in tile.cells["revision"]] == revisions
     # The mapper's own cells stay as they were.
     assert mapper.delta().tiles[0].cells["revision"].tolist() == [1, 2]
@@ -207,7 +209,33 @@ def test_a_later_life_counts_on_from_what_others_hold() -> None:
 def test_a_life_is_not_counted_on_from_its_own_reports_nor_into_impossible_numbers() -> None:
     mapper = Mapper("r1", LATTICE, ELEVATION)
     own = Own(mapper)
+    own.begin(0)
     mapper.integrate(scan_of([[0.2, 0.2, 1.0]]))
+    own.tell(1)
     for revision in (0, 1, 2**32 - 1):
         assert not own.surpass(revision)
     assert own.delta(0).identity == mapper.delta(0).identity
+
+
+def test_what_was_not_told_in_this_life_is_of_another_one() -> None:
+    """It made 30 scans out of reach before it hears that others hold 20, which it can't have told them."""
+    mapper = Mapper("r1", LATTICE, ELEVATION)
+    own = Own(mapper)
+    own.begin(0)
+    for k in range(30):
+        mapper.integrate(scan_of([[0.2, 0.2, 1.0]], k))
+    assert own.surpass(20)
+    assert own.revision == LIFE + 30
+
+
+@pytest.mark.parametrize(("held", "expected"), [(0, 3), (2, 3), (3, 3), (4, LIFE + 3), (LIFE + 3, LIFE + 3),
+                                                (LIFE + 4, 2 * LIFE + 3)])  # fmt: skip
+def test_who_kept_its_map_goes_on_where_it_was(held: int, expected: int) -> None:
+    """Three scans are in its map, and so many of its own reports in its store; who has more of them lost some."""
+    mapper = Mapper("r1", LATTICE, ELEVATION)
+    for k in range(3):
+        mapper.integrate(scan_of([[0.2, 0.2, 1.0]], k))
+    own = Own(mapper)
+    own.begin(held)
+    assert own.revision == expected
+    assert not own.surpass(held)

@@ -11,8 +11,11 @@ import pytest
 from terrafuse.errors import InputError
 from terrafuse.exchange.codec import encode
 from terrafuse.exchange.courier import Channel, Courier, CourierSettings
+from terrafuse.exchange.delta import Delta
 from terrafuse.exchange.framing import frames_of
 from terrafuse.exchange.links import Cut, Faults, Frame, Link, MemoryHub, MisbehavingLink
+from terrafuse.exchange.own import LIFE
+from terrafuse.exchange.piece import Piece, encode_piece
 from terrafuse.exchange.posts import Post, encode_post
 from terrafuse.exchange.summary import VERSION, State, Summary, pack
 from terrafuse.mapper import Mapper
@@ -180,12 +183,12 @@ def test_a_robot_that_lost_all_memory_goes_on_under_its_name() -> None:
     expected = Replica(LATTICE.coarser(FACTOR), MODEL)
     second_life = nodes["r1"].own.delta()
     for tile in second_life.tiles:
-        tile.cells["revision"] += first_life.revision
-    later = replace(second_life, revision=second_life.revision + first_life.revision)
+        tile.cells["revision"] += LIFE
+    later = replace(second_life, revision=second_life.revision + LIFE)
     for delta in (first_life, later, nodes["r2"].own.delta()):
         expected.apply(delta)
     assert digests == {expected.digest()}
-    assert nodes["r2"].replica.store.revision("r1") == first_life.revision + 12
+    assert nodes["r2"].replica.store.revision("r1") == LIFE + 12
 
 
 def test_a_robot_whose_last_scans_were_not_saved_reports_its_map_anew() -> None:
@@ -220,10 +223,13 @@ def test_a_long_delta_comes_in_parts_and_each_counts() -> None:
     held = []
 
     def note() -> bool:
-        held.append(nodes[STATION].replica.store.revision("r1"))
+        store = nodes[STATION].replica.store
+        held.append(sum(len(tile.at) for key in store.keys() if (tile := store.load("r1", key))))
         return agreed(nodes)
 
-    run(nodes, 7, 60, until=note)
+    for step in range(530):
+        run(nodes, 7 + step / 10, 7.1 + step / 10, until=note)
+        note()
     assert agreed(nodes)
     assert len(set(held)) > 3
     assert held == sorted(held)
@@ -341,6 +347,12 @@ def listening(**options: object) -> tuple[Courier, Link, Replica]:
     return Courier(hub.link(STATION), [Channel(CHANNEL, replica.store)], **options), hub.link("r1"), replica  # type: ignore[arg-type]
 
 
+def whole(delta: Delta) -> bytes:
+    """As a message that leads from its first revision to its last."""
+    claim = (delta.since, delta.revision, [])
+    return encode_piece(Piece(delta.revision, [delta.since], claim, False, encode(delta)))
+
+
 def send(link: Link, topic: str, message: bytes) -> None:
     for frame in frames_of(topic, message, link.max_frame_bytes):
         link.send(*frame, 0)
@@ -349,13 +361,13 @@ def send(link: Link, topic: str, message: bytes) -> None:
 def test_what_leaves_a_gap_is_refused_until_the_gap_is_closed() -> None:
     station, link, replica = listening()
     first, second = deltas_of("r1", random_scans(1, 4), LATTICE, MODEL, every=2)
-    send(link, "delta/coarse/r1/r1", encode(second))
+    send(link, "delta/coarse/r1/r1", whole(second))
     station.tick(0)
     assert (station.counts["refused.gap"], replica.store.robots()) == (1, [])
     for delta in (first, second, second):
-        send(link, "delta/coarse/r1/r1", encode(delta))
+        send(link, "delta/coarse/r1/r1", whole(delta))
     station.tick(STEP_NS)
-    assert station.counts["deltas_applied"] == 2
+    assert (station.counts["deltas_applied"], station.counts["deltas_known"]) == (2, 1)
     assert replica.store.revision("r1") == 4
 
 
@@ -364,7 +376,7 @@ def test_what_does_not_belong_here_is_refused() -> None:
     station, link, replica = listening(on_message=lambda *message: heard.append(message))
     (alien,) = deltas_of("r1", random_scans(1, 1), LATTICE.coarser(2), MODEL)
     bad = {
-        "delta/coarse/r1/r1": [encode(alien), b"", b"TFD", encode(alien)[:-1]],
+        "delta/coarse/r1/r1": [whole(alien), b"", b"TFD", whole(alien)[:-1]],
         "summary/r1": [b"", b"\x97", b"no summary"],
         f"post/{STATION}/r1": [b"", b"\x94", encode_post(Post(0, 1, "x", b""))[:-1]],
     }

@@ -10,9 +10,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from terrafuse.errors import CodecError
+from terrafuse.exchange.contents import Digests, decode_digests, encode_digests
+from terrafuse.exchange.known import Claim
+from terrafuse.exchange.piece import Piece, decode_piece, encode_piece, unpack_claim
 from terrafuse.exchange.posts import MOST_KINDS, Inbox, Post, decode_post, encode_post
 from terrafuse.exchange.summary import MOST_GAPS, VERSION, OtherVersion, State, Summary, pack, unpack
-from tests.exchange.make_golden_exchange import HEAD, POST, STATE, golden_summary, post_parts, summary_parts
+from terrafuse.types import TileKey
+from tests.exchange.make_golden_exchange import (
+    DIGESTS,
+    HEAD,
+    PIECE,
+    POST,
+    STATE,
+    digests_parts,
+    golden_summary,
+    piece_parts,
+    post_parts,
+    summary_parts,
+)
 
 GOLDEN_POST = bytes.fromhex(
     # array of 4
@@ -27,10 +42,10 @@ GOLDEN_POST = bytes.fromhex(
     "c4020102"
 )
 GOLDEN_SUMMARY = bytes.fromhex(
-    # array of 7
-    "97"
+    # array of 10
+    "9a"
     # version
-    "02"
+    "01"
     # born_ns
     "cf000000012a05f200"
     # said_ns
@@ -53,8 +68,44 @@ GOLDEN_SUMMARY = bytes.fromhex(
     "91"
     # an id
     "c407616e6f74686572"
+    # ahead: map of 1: of fine, map of 1
+    "81a466696e6581"
+    # r2, array of 3: tile (-1, 2), 2 beyond
+    "a2723293ff0202"
+    # roots: map of 1: of fine, map of 1
+    "81a466696e6581"
+    # r1, 258
+    "a27231cd0102"
+    # area: array of 4: west, south, east, north
+    "94cb0000000000000000cb3ff8000000000000cb4044000000000000cb4054000000000000"
 )
-"""Both made by tests/exchange/make_golden_exchange.py. Bytes that were once written must be read for ever."""
+GOLDEN_PIECE = bytes.fromhex(
+    # array of 5
+    "95"
+    # until
+    "07"
+    # sinces: array of 2
+    "920305"
+    # claim: array of 3: since, until
+    "930307"
+    # array of 3: tile (-1, 2), 1 back
+    "93ff0201"
+    # again
+    "c2"
+    # the delta
+    "c403544644"
+)
+GOLDEN_DIGESTS = bytes.fromhex(
+    # array of 3
+    "93"
+    # robot
+    "a27231"
+    # base
+    "07"
+    # array of 1: array of 3: tile (-1, 2), 258
+    "9193ff02cd0102"
+)
+"""All made by tests/exchange/make_golden_exchange.py. Bytes that were once written must be read for ever."""
 
 IDS = st.binary(min_size=7, max_size=7)
 
@@ -67,7 +118,16 @@ def test_golden_bytes() -> None:
     assert b"".join(part for _, part in summary_parts(GOLDEN_SUMMARY)) == GOLDEN_SUMMARY
     whole = unpack(GOLDEN_SUMMARY)
     assert (whole.held, dict(whole.missing), whole.finished) == (STATE.held, STATE.missing, STATE.finished)
-    assert (whole.version, whole.born_ns, whole.said_ns, whole.robots) == (2, 5 * 10**9, 6 * 10**9, {"fine": 2})
+    assert (whole.ahead, whole.roots, whole.area) == ({"fine": {"r2": [-1, 2, 2]}}, STATE.roots, HEAD.area)
+    assert encode_piece(PIECE) == GOLDEN_PIECE
+    assert decode_piece(GOLDEN_PIECE) == PIECE
+    assert PIECE.claim is not None
+    assert unpack_claim(*PIECE.claim) == Claim(3, 7, ((TileKey(-1, 2), 6),))
+    assert encode_digests(DIGESTS) == GOLDEN_DIGESTS
+    assert decode_digests(GOLDEN_DIGESTS) == DIGESTS
+    assert b"".join(part for _, part in piece_parts(GOLDEN_PIECE)) == GOLDEN_PIECE
+    assert b"".join(part for _, part in digests_parts(GOLDEN_DIGESTS)) == GOLDEN_DIGESTS
+    assert (whole.version, whole.born_ns, whole.said_ns, whole.robots) == (1, 5 * 10**9, 6 * 10**9, {"fine": 2})
 
 
 @given(
@@ -77,7 +137,7 @@ def test_golden_bytes() -> None:
     ),
     missing=st.dictionaries(IDS, st.lists(st.integers(0, 2**16 - 1), max_size=10), max_size=10),
     finished=st.lists(IDS, unique=True, max_size=20),
-    room=st.integers(170, 400),
+    room=st.integers(300, 500),
 )
 def test_messages_of_a_summary_fit_and_hold_all_of_it(
     held: dict[str, dict[str, int]], missing: dict[bytes, list[int]], finished: list[bytes], room: int
@@ -104,14 +164,15 @@ def test_a_summary_asks_for_so_many_gaps_at_most() -> None:
 @given(version=st.integers(0, 2**16 - 1), rest=st.lists(st.integers(-(2**63), 2**64 - 1) | st.text(), max_size=8))
 def test_of_another_version_only_that_is_read(version: int, rest: list[object]) -> None:
     if version == VERSION:
-        version = 1
+        version = 2
     with pytest.raises(OtherVersion, match=f"version {version}; this terrafuse speaks version {VERSION}"):
         unpack(msgspec.msgpack.encode([version, *rest]))
 
 
 @given(st.binary(max_size=60))
 def test_other_bytes_are_refused(message: bytes) -> None:
-    for read, kind in ((unpack, Summary), (decode_post, Post)):
+    readers = (unpack, Summary), (decode_post, Post), (decode_piece, Piece), (decode_digests, Digests)
+    for read, kind in readers:
         with suppress(CodecError):
             assert isinstance(read(message), kind)
 

@@ -37,6 +37,8 @@ class Channel:
     """What this node itself reports; its robot has the node's name. The courier takes it into the store, too."""
     relay: bool = False
     """Whether it passes on what others report, out of its store: a station does."""
+    near: bool = False
+    """Only tiles within a peer's area of interest are for it: what the station tells a robot of the whole map."""
     guard: Guard | None = None
     """Asked before a delta comes into the store; what it refuses is counted by its reason."""
     project: Callable[[Delta], Delta] = as_it_is

@@ -24,27 +24,35 @@ NODE is the sender. Each message travels in frames (`exchange.framing`).
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from terrafuse.errors import CodecError, InputError
-from terrafuse.exchange.bringing import Bringer
+from terrafuse.exchange.bringing import Bringer, in_topic
+from terrafuse.exchange.budget import Budget
 from terrafuse.exchange.channel import Channel
-from terrafuse.exchange.framing import HEADER_BYTES, Limits, Reassembler
+from terrafuse.exchange.comparing import Comparing
+from terrafuse.exchange.contents import decode_digests
+from terrafuse.exchange.framing import Limits, Reassembler
+from terrafuse.exchange.herald import Herald
 from terrafuse.exchange.holding import Holding
+from terrafuse.exchange.known import Known, lacking
 from terrafuse.exchange.links import Frame, Link
-from terrafuse.exchange.outbox import Outbox, outgoing
+from terrafuse.exchange.lives import Lives
+from terrafuse.exchange.outbox import Outbox
 from terrafuse.exchange.own import Source
 from terrafuse.exchange.pace import SECOND_NS, CourierSettings
 from terrafuse.exchange.peer import Peer, PeerChannel
+from terrafuse.exchange.piece import decode_piece
 from terrafuse.exchange.postbox import OnMessage, Postbox
-from terrafuse.exchange.summary import VERSION, OtherVersion, State, Summary, pack, unpack
+from terrafuse.exchange.summary import OtherVersion, Summary, unpack
+from terrafuse.types import Bounds, TileKey
 
 LEAST_FRAME = 64
 MOST_PEERS = 4096
 MOST_ROBOTS = 1 << 16
 """That a peer may say it holds."""
-MOST_UNSAID = 256
-"""Unfinished messages told of in one summary."""
+MOST_TILES = 1 << 16
+"""Of a robot, of which it may say so one by one."""
 
 __all__ = ["Channel", "Courier", "CourierSettings", "Source"]
 
@@ -81,15 +89,29 @@ class Courier:
         self._only = None if peers is None else frozenset(peers)
         self._peers: dict[str, Peer] = {}
         self._reassembler = Reassembler(limits, self.counts)
-        self._outbox = Outbox(link, self.settings.bytes_per_s, self.counts)
+        budget = Budget(self.settings.bytes_per_s, self.settings.overhead_bytes)
+        self._outbox = Outbox(link, budget, [channel.name for channel in channels], self.counts)
         self._posts = Postbox(link.node, self._outbox, self.settings, on_message)
         self._holdings = {channel.name: Holding(channel, self.counts) for channel in channels}
+        replicas = {name: holding for name, holding in self._holdings.items() if holding.store is not None}
+        self._comparing = {name: Comparing(holding, self.settings) for name, holding in replicas.items()}
         self._bringers = {
-            name: Bringer(link.node, holding, self._outbox, self.settings) for name, holding in self._holdings.items()
+            name: Bringer(
+                link.node,
+                holding,
+                self._outbox,
+                self.settings,
+                self._comparing[name].unlike if name in replicas else {},
+            )
+            for name, holding in self._holdings.items()
         }
-        self._born_ns: int | None = None
-        self._now_ns = self._report_ns = self._said_ns = 0
+        self._herald = Herald(link.node, replicas, self._outbox, self._reassembler, self.settings, self._comparing)
+        self._lives = Lives()
+        self._self = Peer(link.node)
+        self._now_ns = self._report_ns = 0
         self._listen()
+        for name, bringer in self._bringers.items():
+            self._outbox.fill(name, bringer.refill)
 
     @property
     def node(self) -> str:
@@ -97,26 +119,31 @@ class Courier:
 
     def tick(self, now_ns: int) -> None:
         """Receive what arrived, send what is due. To be called ten times a second or so; `now_ns` as for the link."""
-        if self._born_ns is None:
-            self._born_ns = self._report_ns = now_ns
+        if self._self.born_ns < 0:
+            self._begin(now_ns)
+            for holding in self._holdings.values():
+                holding.begin()
         self._now_ns = now_ns
         heard = {name for frame in self._link.receive(now_ns) if (name := self._receive(frame))}
         reporting = now_ns >= self._report_ns
         if reporting:
             self._report_ns = now_ns + round(self.settings.period_s * SECOND_NS)
-            for name, holding in self._holdings.items():
-                holding.report()
-                self._bringers[name].report()
-        reached = [self._peers[name] for name in self.reached(now_ns)]
+            for holding in self._holdings.values():
+                holding.take_own()
+        reached = [] if self.node in self.namesakes else [self._peers[name] for name in self.reached(now_ns)]
         for peer in reached:
-            self._posts.bring(peer, self._born_ns)
-        for name, holding in self._holdings.items():
-            told = holding.settled
-            for peer in reached:
-                if reporting or peer.name in heard:
-                    self._bringers[name].bring(peer, told, reporting)
-        self._summarise(reporting)
+            self._posts.bring(peer, self._self.born_ns)
+        for comparing in self._comparing.values():
+            comparing.tick(now_ns)
+        for bringer in self._bringers.values():
+            bringer.reach(reached, now_ns, news=reporting or bool(heard), reporting=reporting)
+        self._herald.say(now_ns, self._self.born_ns, reporting, self._posts.finished, self._posts.unsaid)
         self._outbox.send(now_ns)
+
+    @property
+    def namesakes(self) -> set[str]:
+        """Names that two nodes have, this one's perhaps; nothing is taken of either, and nothing brought."""
+        return self._lives.namesakes(self._now_ns)
 
     def post(self, peer: str, kind: str, payload: bytes) -> None:
         """Bring `payload` to a peer, reliably, in place of anything older of this kind that has not arrived.
@@ -134,28 +161,33 @@ class Courier:
         return sorted(name for name, peer in self._peers.items() if peer.heard_ns >= since_ns)
 
     def behind(self, peer: str) -> dict[str, dict[str, int]]:
-        """By channel, then by robot, how many revisions a peer lacks of what this node would send it.
+        """By channel, then by robot, how many tiles a peer lacks something of that this node would send it.
 
         Empty: it is level. Of a channel that the peer never spoke of, all is lacking.
         """
-        lacks = {name: self._lacks(peer, name) for name in self._holdings}
+        lacks = {name: self._lacks(peer, holding) for name, holding in self._holdings.items()}
         return {name: some for name, some in lacks.items() if some}
 
-    def _lacks(self, peer: str, channel: str) -> dict[str, int]:
-        known = self._peers[peer].channels.get(channel) if peer in self._peers else None
-        held = known.held if known else {}
-        lacks = {robot: last - held.get(robot, 0) for robot, last in self._holdings[channel].told.items()}
-        return {robot: revisions for robot, revisions in lacks.items() if revisions > 0}
+    def _lacks(self, peer: str, holding: Holding) -> dict[str, int]:
+        known = self._peers[peer].channels.get(holding.channel.name) if peer in self._peers else None
+        told = {robot: (ours, (known or PeerChannel()).of(robot)) for robot, ours in holding.told.items()}
+        some = {
+            robot: len(list(lacking(theirs, ours, holding.tiles.get(robot, {}).items())))
+            for robot, (ours, theirs) in told.items()
+        }
+        return {robot: tiles for robot, tiles in some.items() if tiles}
 
     # --- what comes ---------------------------------------------------------------------------------------------------
 
     def _listen(self) -> None:
         self._link.listen(f"post/{self.node}")
-        for name in [""] if self._only is None else [f"/{name}" for name in sorted(self._only)]:
+        # Its own name, too: another node's that has it.
+        for name in [""] if self._only is None else [f"/{name}" for name in sorted({*self._only, self.node})]:
             self._link.listen("summary" + name)
         for channel, holding in self._holdings.items():
             if holding.store is not None:
                 self._link.listen(f"delta/{channel}")
+                self._link.listen(f"tiles/{channel}")
 
     def _receive(self, frame: Frame) -> str | None:
         """The name of the peer whose summary it was, if it was one."""
@@ -173,8 +205,12 @@ class Courier:
         try:
             if kind == "summary":
                 return self._hear(sender, unpack(message))
-            if kind == "delta" and (holding := self._holdings.get(about[0])):
-                if not holding.apply(sender, message, self._now_ns):
+            if sender in self.namesakes:
+                self.counts["refused.namesake"] += 1
+            elif kind == "tiles" and (comparing := self._comparing.get(about[0])):
+                comparing.differ(decode_digests(message))
+            elif kind == "delta" and (holding := self._holdings.get(about[0])):
+                if not holding.apply(sender, decode_piece(message), self._now_ns):
                     self._reassembler.forget(sender, id_)
             elif kind == "post":
                 self._posts.deliver(sender, message)
@@ -188,13 +224,17 @@ class Courier:
 
     def _hear(self, sender: str, summary: Summary) -> str | None:
         """Take in what a peer says; its name, if that is news."""
-        peer = self._peer(sender)
-        if peer is None or summary.born_ns < peer.born_ns:
+        peer = self._self if sender == self.node else self._peer(sender)
+        before = -1 if peer is None else peer.born_ns
+        if peer is None or not self._lives.heard(peer, summary.born_ns, summary.said_ns, self._now_ns):
             self.counts["refused.peer"] += 1
             return None
+        if sender in self.namesakes or sender == self.node:
+            self.counts["refused.namesake"] += 1
+            return None
         self.strangers.pop(sender, None)
-        if summary.born_ns > peer.born_ns:
-            peer.reborn(summary.born_ns)
+        if summary.born_ns != before:
+            self._born_again(peer, clock_set_back=summary.born_ns < before)
         if summary.said_ns > peer.said_ns:
             peer.said_ns, peer.missing = summary.said_ns, {}
         if summary.said_ns == peer.said_ns:
@@ -202,7 +242,10 @@ class Courier:
             peer.heard_ns = self._now_ns
         for channel, robots in summary.robots.items():
             if channel in self._holdings:
-                _learn(peer.channels.setdefault(channel, PeerChannel()), robots, summary.held.get(channel, {}))
+                known = peer.channels.setdefault(channel, PeerChannel())
+                _learn(known, robots, summary.held.get(channel, {}), summary.ahead.get(channel, {}))
+                self._compare(peer, channel, summary.roots.get(channel, {}))
+        peer.area = None if summary.area is None else Bounds(*summary.area)
         for post in peer.posts.values():
             post.arrived |= post.flight is not None and post.flight.message.id in summary.finished
         self._recover(peer)
@@ -220,38 +263,44 @@ class Courier:
         """
         for channel, holding in self._holdings.items():
             known = peer.channels.get(channel)
-            if known is not None and holding.surpass(known.held.get(self.node, 0)):
-                self._born_ns = self._report_ns = self._now_ns
+            if known is not None and holding.surpass(known.of(self.node).newest):
+                self._begin(self._now_ns)
+                if channel in self._comparing:
+                    self._comparing[channel].suspect(self.node, self._now_ns)
 
-    # --- what goes ----------------------------------------------------------------------------------------------------
+    def _born_again(self, peer: Peer, *, clock_set_back: bool) -> None:
+        if clock_set_back:
+            self._posts.forget(peer.name)
+        for channel, comparing in self._comparing.items():
+            if peer.name in self._holdings[channel].known:
+                comparing.suspect(peer.name, self._now_ns)
 
-    def _summarise(self, whole: bool) -> None:
-        """Say what is held: all of it with each report, in between what is new, soon after it came."""
-        soon = self._now_ns >= self._said_ns + self.settings.answer_s * SECOND_NS
-        unsaid = self._posts.unsaid or any(holding.unsaid for holding in self._holdings.values())
-        if not whole and not (soon and unsaid):
-            return
-        replicas = {name: holding for name, holding in self._holdings.items() if holding.store is not None}
-        held = {
-            name: {robot: holding.held[robot] for robot in (holding.held if whole else holding.unsaid)}
-            for name, holding in replicas.items()
-        }
-        missing = dict(list(self._reassembler.missing().items())[-MOST_UNSAID:])
-        state = State(held, missing, self._posts.finished())
-        robots = {name: len(holding.held) for name, holding in replicas.items()}
-        head = Summary(VERSION, self._born_ns or 0, self._now_ns, robots)
-        for message in pack(head, state, self._link.max_frame_bytes - HEADER_BYTES):
-            self._outbox.put(outgoing(f"summary/{self.node}", message, self._link.max_frame_bytes))
-        for holding in replicas.values():
-            holding.unsaid.clear()
-        self._said_ns = self._now_ns
+    def _compare(self, peer: Peer, channel: str, roots: Mapping[str, int]) -> None:
+        """Where contents differ though revisions don't, tell the digests of this node's tiles."""
+        comparing = self._comparing.get(channel)
+        for robot, root in roots.items() if comparing is not None else ():
+            assert comparing is not None
+            message = comparing.hear(robot, peer.channels[channel].of(robot), root, self._now_ns)
+            if message is not None:
+                topic = f"tiles/{channel}/{in_topic(robot)}/{self.node}"
+                self._outbox.put(self._outbox.message(topic, message), channel)
+
+    def _begin(self, now_ns: int) -> None:
+        """A life of the node begins."""
+        self._self.born_ns = self._report_ns = now_ns
 
 
-def _learn(known: PeerChannel, robots: int, held: dict[str, int]) -> None:
+def _learn(known: PeerChannel, robots: int, held: dict[str, int], ahead: dict[str, list[int]]) -> None:
     known.robots = robots
-    for robot, revision in held.items():
-        if len(known.held) < MOST_ROBOTS or robot in known.held:
-            known.held[robot] = max(revision, known.held.get(robot, 0))
+    for robot, base in held.items():
+        if len(known.known) < MOST_ROBOTS or robot in known.known:
+            known.said.add(robot)
+            theirs = known.known.setdefault(robot, Known())
+            theirs.level(base)
+            numbers = iter(ahead.get(robot, ()))
+            for x, y, beyond in zip(numbers, numbers, numbers, strict=False):
+                if len(theirs.ahead) < MOST_TILES:
+                    theirs.learn(TileKey(x, y), base + beyond)
 
 
 def _check(link: Link, channels: Sequence[Channel]) -> None:

@@ -1,16 +1,20 @@
-"""What a courier knows of its own node's channel: up to which revision it holds each robot without a gap."""
+"""What a courier knows of its own node's channel: what it holds of each robot, and what it tells of it."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
-from terrafuse.errors import DeltaError
+from terrafuse.errors import CodecError, DeltaError
 from terrafuse.exchange.channel import Channel
-from terrafuse.exchange.codec import decode, heading
-from terrafuse.exchange.delta import Delta
+from terrafuse.exchange.codec import decode
+from terrafuse.exchange.delta import Delta, TileCells
+from terrafuse.exchange.known import Claim, Known
 from terrafuse.exchange.own import Own
-from terrafuse.exchange.parts import delta_since
+from terrafuse.exchange.parts import newer
+from terrafuse.exchange.piece import Piece, unpack_claim
+from terrafuse.types import TileKey
 
 
 class Holding:
@@ -20,94 +24,157 @@ class Holding:
         self.channel = channel
         self.store = channel.store
         self.own = None if channel.own is None else Own(channel.own)
-        self.held = {} if self.store is None else {robot: self.store.revision(robot) for robot in self.store.robots()}
-        self.unsaid: dict[str, None] = {}
-        """Robots of which more is held since the last summary."""
-        self._lately: dict[str, int] = {}
-        """What was held at the last report,"""
-        self._settled: dict[str, int] = {}
-        """and at the one before: by now, peers said whether they have it from elsewhere."""
+        self.known: dict[str, Known] = {}
+        """By robot, what may be said to be held of it."""
+        self.tiles: dict[str, dict[TileKey, int]] = {}
+        """By robot, its tiles and the newest revision of each."""
+        self.unsaid: dict[str, set[TileKey]] = {}
+        """Robots of which more is held since the last summary, and tiles that are ahead."""
+        self.changed: dict[str, set[TileKey]] = {}
+        """Tiles that changed, until who compares contents takes note."""
+        self._claims: dict[str, Claim] = {}
+        """That can't be followed yet."""
         self._counts = counts
+        self._find()
 
-    def report(self) -> None:
-        """A report is due: take what this node itself made since, and let what came meanwhile settle."""
-        self._take_own()
-        self._settled, self._lately = self._lately, dict(self.held)
+    def begin(self) -> None:
+        """The node begins to live."""
+        if self.own is not None:
+            self.own.begin(self.of(self.own.robot).newest)
 
-    @property
-    def settled(self) -> Mapping[str, int]:
-        """By robot, up to which revision this node tells of it by now."""
-        return self._told(self._settled)
-
-    @property
-    def told(self) -> Mapping[str, int]:
-        """By robot, up to which revision this node will tell of it."""
-        return self._told(self.held)
-
-    def delta(self, robot: str, since: int) -> Delta:
+    def take_own(self) -> None:
+        """Take in what this node itself made since the last time."""
+        if self.own is None or not self.own.revision:
+            return
+        known = self.of(self.own.robot)
+        if self.own.revision <= known.base:
+            return
+        delta = self.projected(known.base)
         if self.store is not None:
-            return delta_since(self.store, robot, since)
-        assert self.own is not None
-        return self._projected(since)
-
-    def apply(self, sender: str, message: bytes, now_ns: int) -> bool:
-        """Take a delta into the store, unless it is known, refused, or leaves a gap: what is held never has one.
-
-        False for one that may be taken if it comes again. Raises CodecError for bytes that are none.
-        """
-        if self.store is None:
-            return True
-        robot, since, revision = heading(message)
-        held = self.held.get(robot, 0)
-        if revision <= held:
-            self._counts["deltas_known"] += 1
-        elif since > held:
-            self._counts["refused.gap"] += 1
-            return False
-        else:
-            self._accept(sender, decode(message, self.store.model.cell), now_ns)
-        return True
-
-    def surpass(self, revision: int) -> bool:
-        """A peer holds this revision of the node's own robot. If that is of an earlier life of the node, True: until it
-        came back, the store has a gap before what this life adds."""
-        if self.own is None or not self.own.surpass(revision):
-            return False
-        self.held[self.own.robot] = 0
-        return True
-
-    def _accept(self, sender: str, delta: Delta, now_ns: int) -> None:
-        assert self.store is not None
-        guard = self.channel.guard
-        if guard is not None and (reason := guard(sender, delta, now_ns)):
-            self._counts[f"refused.{reason}"] += 1
-            return
-        try:
             self.store.accept(delta)
-        except DeltaError:
-            self._counts["refused.delta"] += 1
+        self._note(delta.robot, delta.tiles)
+        known.level(delta.revision)
+        self.unsaid.setdefault(delta.robot, set())
+
+    @property
+    def told(self) -> Mapping[str, Known]:
+        """By robot, what this node tells of it: its own, and what it passes on."""
+        if self.channel.relay:
+            return self.known
+        return {} if self.own is None else {self.own.robot: self.of(self.own.robot)}
+
+    def of(self, robot: str) -> Known:
+        return self.known.setdefault(robot, Known())
+
+    def cells(self, robot: str, since: Mapping[TileKey, int]) -> Delta:
+        """Of each of these tiles what changed after the revision beside it, as a delta that leads nowhere."""
+        if self.store is None:
+            whole = self.projected(min(since.values(), default=self.of(robot).base))
         else:
-            self._counts["deltas_applied"] += 1
-            self.held[delta.robot] = delta.revision
-            self.unsaid[delta.robot] = None
+            whole = self._held(robot, since)
+        some = [newer(tile, since[tile.key]) for tile in whole.tiles if tile.key in since]
+        return _piece(whole, [tile for tile in some if len(tile.at)])
 
-    def _take_own(self) -> None:
-        if self.own is None or self.store is None:
-            return
-        robot, held = self.own.robot, self.held.get(self.own.robot, 0)
-        if self.own.revision > held:
-            delta = self._projected(held)
-            if delta.since <= held:
-                self.store.accept(delta)
-                self.held[robot] = delta.revision
-
-    def _projected(self, since: int) -> Delta:
+    def projected(self, since: int) -> Delta:
         assert self.own is not None
         return self.channel.project(self.own.delta(since))
 
-    def _told(self, held: Mapping[str, int]) -> Mapping[str, int]:
-        relayed = held if self.channel.relay else {}
-        if self.own is None:
-            return relayed
-        robot = self.own.robot
-        return {**relayed, robot: self.own.revision if self.store is None else self.held.get(robot, 0)}
+    def apply(self, sender: str, piece: Piece, now_ns: int) -> bool:
+        """Take tiles into the store, unless they are known, refused, or leave a gap: what is held never has one.
+
+        False for what may be taken if it comes again. Raises CodecError for bytes that are none.
+        """
+        if self.store is None:
+            return True
+        delta = decode(piece.delta, self.store.model.cell)
+        if len(piece.sinces) not in (1, len(delta.tiles)):
+            raise CodecError(f"{len(piece.sinces)} revisions for {len(delta.tiles)} tiles")
+        if (reason := self._refusal(sender, delta, now_ns)) is not None:
+            self._counts[f"refused.{reason}"] += 1
+            return True
+        known = self.of(delta.robot)
+        sinces = piece.sinces * len(delta.tiles) if len(piece.sinces) == 1 else piece.sinces
+        fresh = [
+            tile
+            for tile, since in zip(delta.tiles, sinces, strict=True)
+            if piece.again or since <= known.of(tile.key) < piece.until
+        ]
+        gaps = any(since > known.of(tile.key) for tile, since in zip(delta.tiles, sinces, strict=True))
+        self._take(known, delta, fresh, piece)
+        if gaps and not piece.again:
+            self._counts["refused.gap"] += 1
+        return piece.again or not gaps
+
+    def surpass(self, revision: int) -> bool:
+        """A peer holds this revision of the node's own robot: is it of an earlier life of the node?"""
+        if self.own is None or not self.own.surpass(revision):
+            return False
+        self.of(self.own.robot).level(revision)
+        return True
+
+    def _find(self) -> None:
+        """What the store holds, and which of it is of an earlier life of this node."""
+        for robot in [] if self.store is None else self.store.robots():
+            assert self.store is not None
+            tiles = self.tiles[robot] = dict(self.store.revisions(robot))
+            base = 0 if self.channel.near else self.store.level(robot)
+            self.known[robot] = Known(base, {key: revision for key, revision in tiles.items() if revision > base})
+
+    def _refusal(self, sender: str, delta: Delta, now_ns: int) -> str | None:
+        guard = self.channel.guard
+        return guard(sender, delta, now_ns) if guard is not None else None
+
+    def _take(self, known: Known, delta: Delta, fresh: list[TileCells], piece: Piece) -> None:
+        """Into the store first, and only then among what is known."""
+        assert self.store is not None
+        ahead = Known(known.base, {**known.ahead})
+        for tile in fresh:
+            ahead.learn(tile.key, piece.until)
+        claim = self._followed(ahead, delta.robot, piece)
+        some = _piece(delta, fresh)
+        try:
+            if claim is not None and some.revision <= claim.until:
+                self.store.accept(replace(some, since=known.base, revision=claim.until))
+            else:
+                if fresh:
+                    self.store.accept(some)
+                if claim is not None:
+                    self.store.accept(replace(some, since=known.base, revision=claim.until, tiles=()))
+        except DeltaError:
+            self._counts["refused.delta"] += 1
+            return
+        self._counts["deltas_applied" if fresh or claim else "deltas_known"] += 1
+        self._note(delta.robot, fresh)
+        known.ahead = ahead.ahead
+        if claim is not None:
+            known.level(claim.until)
+            self._claims.pop(delta.robot, None)
+        if fresh or claim is not None:
+            self.unsaid.setdefault(delta.robot, set()).update(tile.key for tile in fresh)
+
+    def _followed(self, ahead: Known, robot: str, piece: Piece) -> Claim | None:
+        """The claim that leads on from here: this piece's, or one that came before what it needs."""
+        if piece.claim is not None and piece.claim[1] > ahead.base:
+            self._claims[robot] = unpack_claim(*piece.claim)
+        claim = self._claims.get(robot)
+        return claim if claim is not None and claim.until > ahead.base and ahead.follows(claim) else None
+
+    def _note(self, robot: str, tiles: Iterable[TileCells]) -> None:
+        known = self.tiles.setdefault(robot, {})
+        for tile in tiles:
+            known[tile.key] = max(known.get(tile.key, 0), int(tile.cells["revision"].max()))
+            if self.store is not None:
+                self.changed.setdefault(robot, set()).add(tile.key)
+
+    def _held(self, robot: str, keys: Iterable[TileKey]) -> Delta:
+        assert self.store is not None
+        held = (self.store.load(robot, key) for key in sorted(keys))
+        tiles = tuple(tile for tile in held if tile is not None)
+        return Delta(self.store.map, robot, 0, self.store.revision(robot), self.store.stamp(robot), tiles)
+
+
+def _piece(delta: Delta, tiles: Iterable[TileCells]) -> Delta:
+    """These tiles as a delta that leads nowhere."""
+    some = tuple(tiles)
+    newest = max((int(tile.cells["revision"].max()) for tile in some), default=0)
+    return replace(delta, since=newest, revision=newest, tiles=some)

@@ -1,17 +1,22 @@
-"""What waits to be sent: frames, at no more bytes a second than allowed, small messages before contributions."""
+"""What leaves a node: frames, at no more bytes a second than allowed, the urgent ones first.
+
+Lanes: posts, then summaries, then the channels in their order, then answers. A channel's lane is filled when its turn
+comes, with what is then worth most and as it is then; nothing waits in it but the message that is being sent.
+"""
 
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from math import isinf
 
+from terrafuse.exchange.budget import Budget
 from terrafuse.exchange.framing import frames_of, message_id
 from terrafuse.exchange.links import Frame, Link
 
-BURST_S = 0.1
-"""Of what was not used, so much may be sent at once."""
+POST, SUMMARY, REPLY = "post", "summary", "reply"
+FAIR = 8
+"""Of so many frames one is of the last lane that has any, so that the first ones starve none."""
 
 
 @dataclass(eq=False)
@@ -32,51 +37,62 @@ def outgoing(topic: str, message: bytes, max_frame_bytes: int) -> Outgoing:
     return Outgoing(message_id(topic, message), kind, frames_of(topic, message, max_frame_bytes))
 
 
+@dataclass
+class Lane:
+    refill: Callable[[], bool] = lambda: False
+    """Puts more into the lane; False: there is nothing more."""
+    waiting: deque[tuple[Outgoing, int]] = field(default_factory=deque)
+
+    def filled(self) -> bool:
+        return bool(self.waiting) or (self.refill() and bool(self.waiting))
+
+
 class Outbox:
     """Sends by `link`; counts messages, frames and bytes by kind in `counts`."""
 
-    def __init__(self, link: Link, bytes_per_s: float, counts: Counter[str]) -> None:
+    def __init__(self, link: Link, budget: Budget, channels: Sequence[str], counts: Counter[str]) -> None:
+        self.max_frame_bytes = budget.frame_bytes(link.max_frame_bytes)
         self._link = link
-        self._bytes_per_s = bytes_per_s
+        self._budget = budget
         self._counts = counts
-        self._small: deque[tuple[Outgoing, int]] = deque()
-        self._bulk: deque[tuple[Outgoing, int]] = deque()
-        self._allowed = 0.0
-        self._now_ns: int | None = None
+        self._urgent = [POST, SUMMARY]
+        self._bulk = [*channels, REPLY]
+        self._lanes = {name: Lane() for name in (*self._urgent, *self._bulk)}
+        self._sent = 0
 
-    @property
-    def max_frame_bytes(self) -> int:
-        return self._link.max_frame_bytes
+    def fill(self, lane: str, refill: Callable[[], bool]) -> None:
+        """Have this called whenever the lane is empty and something may leave."""
+        self._lanes[lane].refill = refill
 
-    def put(self, message: Outgoing, parts: Iterable[int] | None = None) -> None:
+    def message(self, topic: str, message: bytes) -> Outgoing:
+        return outgoing(topic, message, self.max_frame_bytes)
+
+    def put(self, message: Outgoing, lane: str, parts: Iterable[int] | None = None) -> None:
         """Send these parts of a message, or all; what waits already, waits once."""
-        waiting = self._bulk if message.kind == "delta" else self._small
         self._counts[f"messages_sent.{message.kind}"] += 1
         for part in range(len(message.frames)) if parts is None else parts:
             if part not in message.queued:
                 message.queued.add(part)
-                waiting.append((message, part))
+                self._lanes[lane].waiting.append((message, part))
 
     def send(self, now_ns: int) -> None:
         """Send what may go by now."""
-        self._earn(now_ns)
-        for waiting in (self._small, self._bulk):
-            while waiting and self._allowed > 0:
-                self._send(*waiting.popleft(), now_ns)
+        self._budget.earn(now_ns)
+        while self._budget.left and (lane := self._next()) is not None:
+            self._send(*lane.waiting.popleft(), now_ns)
 
-    def _earn(self, now_ns: int) -> None:
-        # A frame goes as soon as anything is allowed, whatever its size, and is paid for afterwards.
-        burst = self._bytes_per_s * BURST_S
-        elapsed_s = 0.0 if self._now_ns is None else (now_ns - self._now_ns) / 1e9
-        earned = burst if isinf(burst) or self._now_ns is None else self._bytes_per_s * elapsed_s
-        self._allowed = min(self._allowed + earned, max(burst, earned))
-        self._now_ns = now_ns
+    def _next(self) -> Lane | None:
+        for name in self._urgent:
+            if self._lanes[name].filled():
+                return self._lanes[name]
+        self._sent += 1
+        order = self._bulk if self._sent % FAIR else reversed(self._bulk)
+        return next((self._lanes[name] for name in order if self._lanes[name].filled()), None)
 
     def _send(self, message: Outgoing, part: int, now_ns: int) -> None:
         frame = message.frames[part]
         self._link.send(*frame, now_ns)
         message.queued.discard(part)
         message.left_ns = now_ns
-        self._allowed -= len(frame.payload)
         self._counts[f"frames_sent.{message.kind}"] += 1
-        self._counts[f"bytes_sent.{message.kind}"] += len(frame.payload)
+        self._counts[f"bytes_sent.{message.kind}"] += self._budget.pay(len(frame.payload))

@@ -8,6 +8,9 @@ from typing import Protocol
 from terrafuse.exchange.delta import MAX_REVISION, Delta, TileCells
 from terrafuse.exchange.parts import newer
 
+LIFE = 1 << 20
+"""Scans: who lost count begins anew where none that it made before can be."""
+
 
 class Source(Protocol):
     """A contribution that a node makes: `CoarseContribution`, `Mapper`."""
@@ -26,32 +29,46 @@ class Own:
     """A source whose revisions are beyond those of the node's earlier lives.
 
     A robot that was started afresh counts its scans from 1 again, while others hold its earlier reports as newer. Once
-    it hears of those (`surpass`), it counts on from there. What it then tells begins after them: they are history,
-    which those who hold it pass on.
+    it hears of a revision that it never told (`surpass`), it counts on from the next multiple of LIFE beyond it, and
+    tells all that it has anew. What it told before is history, which those who hold it pass on; who lacks some of that
+    is found out by comparing contents (`exchange.contents`).
     """
 
     def __init__(self, source: Source) -> None:
         self.robot = source.robot
         self._source = source
         self._before = 0
+        self._told = 0
 
     @property
     def revision(self) -> int:
         return self._source.revision + self._before if self._source.revision else 0
 
     def delta(self, since: int) -> Delta:
-        """What changed after revision `since`; its own `since` is larger where an earlier life ended later."""
+        """What changed after revision `since`, as far as it is of this life."""
         if not self._before:
             return self._source.delta(since)
         delta = self._source.delta(max(since - self._before, 0))
         tiles = tuple(self._later(tile) for tile in delta.tiles)
-        return replace(delta, since=delta.since + self._before, revision=delta.revision + self._before, tiles=tiles)
+        return replace(delta, since=since, revision=delta.revision + self._before, tiles=tiles)
+
+    def begin(self, held: int) -> None:
+        """A life begins, with this revision of it in the node's store: who kept its map told no more than is in it."""
+        if held % LIFE <= self._source.revision:
+            self._before = held - held % LIFE
+        self._told = self.revision
+        self.surpass(held)
+
+    def tell(self, revision: int) -> None:
+        """Others are told up to this revision."""
+        self._told = max(self._told, revision)
 
     def surpass(self, revision: int) -> bool:
-        """Somebody holds this revision of ours: is it of an earlier life? Then count on from there."""
-        if revision <= max(self.revision, self._before) or revision + self._source.revision > MAX_REVISION // 2:
+        """Somebody holds this revision of ours: was it told in an earlier life? Then count on from beyond it."""
+        before = (revision // LIFE + 1) * LIFE
+        if revision <= self._told or before + self._source.revision > MAX_REVISION:
             return False
-        self._before = revision
+        self._before = self._told = before
         return True
 
     def _later(self, tile: TileCells) -> TileCells:

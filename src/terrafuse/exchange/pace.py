@@ -23,9 +23,14 @@ class CourierSettings:
     silent_s: float = 5.0
     """Nothing is sent to a peer of whom nothing was heard for so long."""
     bytes_per_s: float = inf
-    """What this node sends at most, frames' payloads counted; less than what the link carries, or it queues there."""
+    """What this node sends at most; less than what the link carries, or it queues there."""
+    overhead_bytes: int = 0
+    """That the carrier adds to each frame, and the budget counts."""
+    summary_share: float = 0.15
+    """Of the budget: summaries come less often, and whole ones say less, rather than take more."""
     message_cells: int = 2048
-    """Longer deltas are sent as several messages, oldest revisions first (more only where one revision has more)."""
+    """Of a tile in which more changed, the oldest revisions come first, in a message of their own (more only where one
+    revision has more)."""
 
     def longer(self, patience_ns: float) -> float:
         """How long to wait for an answer after one more time in vain."""

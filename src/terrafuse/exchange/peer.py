@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from terrafuse.exchange.known import Known
 from terrafuse.exchange.outbox import Outgoing
+from terrafuse.types import Bounds, TileKey
 
 
 @dataclass
@@ -20,11 +22,9 @@ class Flight:
 
 
 @dataclass
-class DeltaFlight(Flight):
-    revision: int
-    """That the peer holds once it arrived."""
-    last: bool
-    """Nothing newer was there."""
+class TileFlight(Flight):
+    until: int
+    """The revision up to which the peer holds the tile, or all, once it arrived."""
 
 
 @dataclass
@@ -39,17 +39,27 @@ class Posted:
 
 @dataclass
 class PeerChannel:
-    """What a peer said of a channel into which it takes contributions."""
+    """What a peer said of a channel into which it takes contributions, and what is under way to it."""
 
     robots: int = 0
-    held: dict[str, int] = field(default_factory=dict)
-    flights: dict[str, DeltaFlight] = field(default_factory=dict)
-    """By robot."""
+    known: dict[str, Known] = field(default_factory=dict)
+    said: set[str] = field(default_factory=set)
+    """Robots of which it said up to which revision it holds all."""
+    tiles: dict[tuple[str, TileKey], TileFlight] = field(default_factory=dict)
+    claims: dict[str, TileFlight] = field(default_factory=dict)
 
     @property
     def served(self) -> bool:
-        """Whether it said all of what it holds."""
-        return len(self.held) >= self.robots
+        """Whether it said of every robot what it holds."""
+        return len(self.said) >= self.robots
+
+    def of(self, robot: str) -> Known:
+        return self.known.get(robot) or Known()
+
+    def arrived(self) -> None:
+        """Forget what is no longer under way."""
+        self.tiles = {at: one for at, one in self.tiles.items() if self.of(at[0]).of(at[1]) < one.until}
+        self.claims = {robot: one for robot, one in self.claims.items() if self.of(robot).base < one.until}
 
 
 @dataclass
@@ -62,6 +72,8 @@ class Peer:
     heard_ns: int = -(1 << 62)
     channels: dict[str, PeerChannel] = field(default_factory=dict)
     missing: dict[bytes, list[int]] = field(default_factory=dict)
+    area: Bounds | None = None
+    """Of interest to it, metres."""
     posts: dict[str, Posted] = field(default_factory=dict)
     """By kind."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from terrafuse.errors import InputError
-from terrafuse.exchange.outbox import Outbox, outgoing
+from terrafuse.exchange.outbox import POST, Outbox
 from terrafuse.exchange.pace import SECOND_NS, CourierSettings
 from terrafuse.exchange.peer import Flight, Peer, Posted, parts_of
 from terrafuse.exchange.posts import MOST_PAYLOAD, Inbox, Post, decode_post, encode_post
@@ -39,17 +39,21 @@ class Postbox:
                 continue
             if post.flight is None:
                 content = encode_post(Post(born_ns, post.number, kind, post.payload))
-                message = outgoing(f"post/{peer.name}/{self._node}", content, self._outbox.max_frame_bytes)
+                message = self._outbox.message(f"post/{peer.name}/{self._node}", content)
                 post.flight = Flight(message, self._settings.retry_s * SECOND_NS)
-                self._outbox.put(message)
+                self._outbox.put(message, POST)
             elif post.flight.in_vain(peer):
-                self._outbox.put(post.flight.message, parts_of(post.flight.message, peer))
+                self._outbox.put(post.flight.message, POST, parts_of(post.flight.message, peer))
                 post.flight.patience_ns = self._settings.longer(post.flight.patience_ns)
 
     def acknowledge(self, id_: bytes) -> None:
         """Tell the sender, with the next summary, that this post arrived."""
         if len(self._finished) < MOST_UNSAID:
             self._finished[id_] = None
+
+    def forget(self, sender: str) -> None:
+        """Whatever this sender posts from now on is new: its clock may be another one."""
+        self._inbox.forget(sender)
 
     def deliver(self, sender: str, message: bytes) -> None:
         """Raises CodecError for bytes that are no post."""

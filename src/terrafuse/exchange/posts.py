@@ -50,6 +50,11 @@ class Inbox:
     def __init__(self) -> None:
         self._last: OrderedDict[tuple[str, str], tuple[int, int]] = OrderedDict()
 
+    def forget(self, sender: str) -> None:
+        """It was started afresh, perhaps with another clock: what comes of it is new."""
+        for key in [key for key in self._last if key[0] == sender]:
+            del self._last[key]
+
     def is_new(self, sender: str, post: Post) -> bool:
         """Whether it is newer than all that came of this sender and kind."""
         key, order = (sender, post.kind), (post.born_ns, post.number)

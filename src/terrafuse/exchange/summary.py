@@ -11,11 +11,16 @@ A message is msgpack, an array of
                 robots that are not among them are as they were said before
     missing     array of [id, [first, last, first, last, ...]]: parts that lack of messages that arrived in part
     finished    array of ids: posts that arrived since the last summary
+    ahead       map of channel to a map of robot to [x, y, beyond, x, y, beyond, ...]: of tile (x, y) it lacks nothing
+                up to the revision in `held` of this very message plus `beyond`
+    roots       map of channel to a map of robot to int: digest of all that it holds of the robot, up to the revision in
+                `held` of this very message (`exchange.contents`)
+    area        nil, or [west, south, east, north], metres: of interest to the node
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,11 +28,12 @@ import msgspec
 
 from terrafuse.errors import CodecError
 
-VERSION = 2
+VERSION = 1
 """Of the protocol."""
+TILES_AT_ONCE = 8
 MOST_GAPS = 64
 """Of one message, in a summary; parts beyond are asked for once these came."""
-FIXED_BYTES = 36
+FIXED_BYTES = 80
 """Of a message without entries, beside the names of its channels, at most."""
 
 
@@ -49,6 +55,9 @@ class Summary(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
     held: dict[str, dict[str, int]] = {}
     missing: list[tuple[bytes, list[int]]] = []
     finished: list[bytes] = []
+    ahead: dict[str, dict[str, list[int]]] = {}
+    roots: dict[str, dict[str, int]] = {}
+    area: tuple[float, float, float, float] | None = None
 
 
 _encode = msgspec.msgpack.Encoder().encode
@@ -63,13 +72,17 @@ class State:
     held: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     missing: Mapping[bytes, list[int]] = field(default_factory=dict)
     finished: Iterable[bytes] = ()
+    ahead: Mapping[str, Mapping[str, Sequence[tuple[int, int, int]]]] = field(default_factory=dict)
+    """By channel and robot, of which `held` has something: x, y and the revision."""
+    roots: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    """Likewise."""
 
 
 def pack(head: Summary, state: State, room: int) -> list[bytes]:
     """The summary as messages of at most `room` bytes, unless one entry alone takes more; at least one message."""
     messages = [_begun(head)]
     # Each channel's name twice, its number of robots, and the head of its map.
-    empty = left = room - FIXED_BYTES - sum(2 * len(_encode(name)) + 8 for name in head.robots)
+    empty = left = room - FIXED_BYTES - sum(4 * len(_encode(name)) + 14 for name in head.robots)
 
     def at_hand(entry: object) -> Summary:
         nonlocal left
@@ -86,12 +99,26 @@ def pack(head: Summary, state: State, room: int) -> list[bytes]:
         at_hand((id_, gaps[:MOST_GAPS])).missing.append((id_, gaps[:MOST_GAPS]))
     for channel, held in state.held.items():
         for robot, revision in held.items():
-            at_hand((robot, revision)).held.setdefault(channel, {})[robot] = revision
+            root = state.roots.get(channel, {}).get(robot)
+            message = at_hand((robot, revision) if root is None else (robot, revision, robot, root))
+            message.held.setdefault(channel, {})[robot] = revision
+            if root is not None:
+                message.roots.setdefault(channel, {})[robot] = root
+            tiles = state.ahead.get(channel, {}).get(robot, ())
+            for first in range(0, len(tiles), TILES_AT_ONCE):
+                flat = [
+                    number
+                    for x, y, until in tiles[first : first + TILES_AT_ONCE]
+                    for number in (x, y, until - revision)
+                ]
+                message = at_hand((robot, revision, robot, flat))
+                message.held.setdefault(channel, {})[robot] = revision
+                message.ahead.setdefault(channel, {}).setdefault(robot, []).extend(flat)
     return [_encode(message) for message in messages]
 
 
 def _begun(head: Summary) -> Summary:
-    return Summary(head.version, head.born_ns, head.said_ns, head.robots, {}, [], [])
+    return Summary(head.version, head.born_ns, head.said_ns, head.robots, {}, [], [], {}, {}, head.area)
 
 
 def unpack(message: bytes) -> Summary:

@@ -1,0 +1,88 @@
+"""What peers lack of a channel, the most worth first.
+
+A tile is worth the share of its robot's revisions that the peer lacks of it, from 0 to 1, half of it where the peer
+holds something of the tile; and each 30 s of waiting as much as a tile that nobody ever told. So nothing starves:
+what has waited for longer than that goes before all that is younger by 30 s, whatever it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from terrafuse.exchange.holding import Holding
+from terrafuse.exchange.known import Known, lacking
+from terrafuse.exchange.peer import Peer, PeerChannel
+from terrafuse.types import Bounds, TileKey
+
+AGE_NS = 30e9
+
+
+@dataclass(frozen=True)
+class Want:
+    """A tile that peers lack: all of them hold it up to `since` at least."""
+
+    robot: str
+    key: TileKey
+    since: int
+    worth: float
+
+
+class Wants:
+    def __init__(self, holding: Holding, settle_ns: float) -> None:
+        self._holding = holding
+        self._settle_ns = settle_ns
+        """What others report is passed on only when so long somebody lacked it: most overheard it from them."""
+        self._first_ns: dict[tuple[str, TileKey], int] = {}
+        self._tile_m = 0.0 if holding.store is None else holding.store.map.tile_m
+
+    def of(self, peers: Iterable[tuple[Peer, PeerChannel]], now_ns: int) -> list[Want]:
+        """By worth, the least first."""
+        lacks = self._lacks(list(peers))
+        self._first_ns = {at: self._first_ns.get(at, now_ns) for at in lacks}
+        wants = [self._want(*at, since, now_ns) for at, since in lacks.items() if self._settled(*at, now_ns)]
+        return sorted(wants, key=lambda want: (want.worth, want.robot, want.key))
+
+    def _lacks(self, peers: list[tuple[Peer, PeerChannel]]) -> dict[tuple[str, TileKey], int]:
+        """By robot and tile, up to where those who lack it hold it."""
+        lacks: dict[tuple[str, TileKey], int] = {}
+        for robot, ours in self._holding.told.items():
+            tiles = self._holding.tiles.get(robot, {}).items()
+            for peer, known in peers:
+                theirs = known.of(robot)
+                for key in lacking(theirs, ours, tiles):
+                    if self._may_go(peer, known, robot, key):
+                        lacks[robot, key] = min(theirs.of(key), lacks.get((robot, key), theirs.of(key)))
+        return lacks
+
+    def _may_go(self, peer: Peer, known: PeerChannel, robot: str, key: TileKey) -> bool:
+        """Whether it is not under way, and of interest."""
+        flight = known.tiles.get((robot, key))
+        if flight is not None and not (flight.in_vain(peer) and flight.message.id not in peer.missing):
+            return False
+        return self.interest(peer, key)
+
+    def interest(self, peer: Peer, key: TileKey) -> bool:
+        """Whether a tile is for this peer at all."""
+        return not self._holding.channel.near or _meets(key, self._tile_m, peer.area)
+
+    def _settled(self, robot: str, key: TileKey, now_ns: int) -> bool:
+        own = self._holding.own
+        return (own is not None and robot == own.robot) or now_ns >= self._first_ns[robot, key] + self._settle_ns
+
+    def _want(self, robot: str, key: TileKey, since: int, now_ns: int) -> Want:
+        revision = self._holding.tiles[robot][key]
+        news = (revision - since) / revision * (0.5 if since else 1.0)
+        return Want(robot, key, since, news + (now_ns - self._first_ns[robot, key]) / AGE_NS)
+
+
+def _meets(key: TileKey, tile_m: float, area: Bounds | None) -> bool:
+    if area is None:
+        return False
+    west, south = key.x * tile_m, key.y * tile_m
+    return west < area.east and area.west < west + tile_m and south < area.north and area.south < south + tile_m
+
+
+def provable(theirs: Known, ours: Known, tiles: Iterable[tuple[TileKey, int]]) -> int:
+    """The newest revision up to which a peer, by what it said, lacks nothing."""
+    return min((theirs.of(key) for key in lacking(theirs, ours, tiles)), default=ours.base)

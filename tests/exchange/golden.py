@@ -39,9 +39,9 @@ GOLDEN = {
         # header, msgpack
         "9da9656c65766174696f6e0104c0a272310002ce773594000203ce3b9aca00920100920100"
         # body
-        "b14adfa7f6c33e0a8bfa25e916b8d351fc470c800000172e6282848d476f08"
+        "b14adb6fdf5867c1007702af075b6005a4fd5a36b800000001812f6282848d476f08"
         # CRC-32 of all before
-        "be9e795a"
+        "407781a1"
     ),
     "elevation lean": bytes.fromhex(
         # magic
@@ -55,9 +55,9 @@ GOLDEN = {
         # header, msgpack
         "9da9656c65766174696f6e0104c0a272310002ce773594000203ce3b9aca00920100920100"
         # body
-        "b14adfa7f6c33e057380000d475ee8"
+        "b14adb6fdf5867c115a800000d475ee8"
         # CRC-32 of all before
-        "8f7aa988"
+        "970117c7"
     ),
     "grey exact": bytes.fromhex(
         # magic
@@ -89,9 +89,9 @@ GOLDEN = {
         # header, msgpack
         "9da4677265790104c0a272310002ce773594000103ce3b9aca00920001920001"
         # body
-        "32cbff77feffdffbc655c000f6f6f7112b"
+        "32c59f7dff9ffbff78ca8000f6f6f7112b"
         # CRC-32 of all before
-        "b819f392"
+        "e2511fda"
     ),
     "grey lean": bytes.fromhex(
         # magic
@@ -105,9 +105,9 @@ GOLDEN = {
         # header, msgpack
         "9da4677265790104c0a272310002ce773594000103ce3b9aca00920001920001"
         # body
-        "32cbfe7bf7ed27000002aaff"
+        "32c59f3e7efda4e0000002aaff"
         # CRC-32 of all before
-        "22b256f5"
+        "c4403489"
     ),
     "occupancy exact": bytes.fromhex(
         # magic
@@ -140,9 +140,9 @@ GOLDEN = {
         # header, msgpack
         "9da96f63637570616e63790104c0a272310002ce773594000205ce3b9aca00920100920100"
         # body
-        "b17212b5dc7634bb284000008a4108"
+        "b17211f8851d8d3c0d3000008a4108"
         # CRC-32 of all before
-        "b4fa29e6"
+        "bddd45f4"
     ),
     "occupancy lean": bytes.fromhex(
         # magic
@@ -156,9 +156,9 @@ GOLDEN = {
         # header, msgpack
         "9da96f63637570616e63790104c0a272310002ce773594000205ce3b9aca00920100920100"
         # body
-        "b17212b5bfb38cb2f900000003a078"
+        "b17211f87dece30e1f20000003a078"
         # CRC-32 of all before
-        "6951ed8f"
+        "4bd86e48"
     ),
     "terrain exact": bytes.fromhex(
         # magic
@@ -195,9 +195,9 @@ GOLDEN = {
         # header, msgpack
         "9da77465727261696e0104c0a272310002ce773594000203ce3b9aca0091019101"
         # body
-        "b14ad78411eaccd7762dd67563d7797cbcc0000000249339b9b93f0eef70"
+        "b14ae4ffb100ebbd4d5ec94a46241b3b600000024934ba3f0eef70"
         # CRC-32 of all before
-        "c79f57ab"
+        "b54e3f1c"
     ),
     "terrain lean": bytes.fromhex(
         # magic
@@ -211,8 +211,8 @@ GOLDEN = {
         # header, msgpack
         "9da77465727261696e0104c0a272310002ce773594000203ce3b9aca0091019101"
         # body
-        "b14ad7b12ac35ea20800001f0eef70"
+        "b14ae4fc9d77aa6db7800000010eef70"
         # CRC-32 of all before
-        "1f49dd56"
+        "199158d0"
     ),
 }

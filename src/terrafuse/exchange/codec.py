@@ -152,7 +152,7 @@ def _opened(message: bytes) -> tuple[str, _Exact | _Rounded, memoryview]:
     try:
         read = _read_rounded if form else _read_exact
         return FORMS[form], read(view[START.size : START.size + length]), view[START.size + length : -4]
-    except (msgspec.DecodeError, msgspec.ValidationError) as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise CodecError(f"a header that can't be read: {error}") from error
 
 

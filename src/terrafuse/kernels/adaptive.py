@@ -143,8 +143,8 @@ def _shift(low, out, front, held, pending, begun):
 
 @njit(cache=True, nogil=True)
 def write(symbols, counts, out):
-    """Columns of symbols, -1 for none, counts[c] of them each, one after the other → how many bytes of `out` they take;
-    0 if it is too small."""
+    """Columns of symbols, counts[c] each, one after the other → how many bytes of `out` they take; 0 if it is too
+    small."""
     chance, seen = np.empty(CONTEXTS * CLASSES, np.int64), np.empty(CONTEXTS * CLASSES, np.int64)
     low, range_, held, pending, begun = 0, FULL_RANGE, 0, 0, False
     front, back, plain, plain_bits, first = 0, out.shape[0], 0, 0, 0
@@ -152,8 +152,6 @@ def write(symbols, counts, out):
         chance[:], seen[:], before = HALF, 0, 0
         for k in range(first, first + counts[c]):
             symbol = symbols[k]
-            if symbol < 0:
-                continue
             own = class_of(symbol)
             for step in range(own + 1):
                 place = before * CLASSES + step
@@ -299,10 +297,16 @@ def _places(gaps, starts, cells, places):
 
 
 @njit(cache=True, nogil=True)
-def _numbers(kind, symbols, west, north, lowest, highest, numbers):
-    """Symbols → numbers; False if one is out of bounds."""
-    for k in range(symbols.shape[0]):
-        number = symbols[k] if kind == PLAIN else unfold(symbols[k])
+def _numbers(kind, symbols, other, west, north, lowest, highest, numbers):
+    """Symbols → numbers, 0 where `other`, unless it is empty, is 0; False if one is out of bounds."""
+    every, following = other.shape[0] == 0, 0
+    for k in range(numbers.shape[0]):
+        if not every and other[k] == 0:
+            numbers[k] = 0
+            continue
+        symbol = symbols[following]
+        following += 1
+        number = symbol if kind == PLAIN else unfold(symbol)
         if kind == PREDICTED:
             number += expected(numbers, k, west, north)
         if number < lowest or number > highest:
@@ -312,18 +316,18 @@ def _numbers(kind, symbols, west, north, lowest, highest, numbers):
 
 
 @njit(cache=True, nogil=True)
-def _column(data, at, other, symbols):
-    """The next column's symbols, 0 where `other` is 0, at which it has none."""
-    if not _symbols(data, at, symbols[: np.count_nonzero(other)]):
+def _column(data, at, kind, other, west, north, lowest, highest, symbols, numbers):
+    """The next column's numbers, likewise; False where it has none."""
+    every, alike = other.shape[0] == 0, np.empty(1, np.int64)
+    if not _symbols(data, at, alike):
         return False
-    left = np.count_nonzero(other)
-    for k in range(symbols.shape[0] - 1, -1, -1):
-        if other[k] == 0:
-            symbols[k] = 0
-        else:
-            left -= 1
-            symbols[k] = symbols[left]
-    return True
+    if alike[0] > 0:
+        number = unfold(alike[0] - 1)
+        for k in range(numbers.shape[0]):
+            numbers[k] = number if every or other[k] != 0 else 0
+        return lowest <= number <= highest
+    own = symbols if every else symbols[: np.count_nonzero(other)]
+    return _symbols(data, at, own) and _numbers(kind, own, other, west, north, lowest, highest, numbers)
 
 
 @njit(cache=True, nogil=True)
@@ -344,8 +348,8 @@ def read(data, side, kinds, where, lowest, highest, keys, starts, places, number
     west, north = np.empty(cells, np.int64), np.empty(cells, np.int64)
     neighbours(places, starts, side, west, north)
     for c in range(numbers.shape[0]):
-        told = _symbols(data, at, symbols) if where[c] < 0 else _column(data, at, numbers[where[c]], symbols)
-        if not told or not _numbers(kinds[c], symbols, west, north, lowest[c], highest[c], numbers[c]):
+        other = numbers[where[c]] if where[c] >= 0 else symbols[:0]
+        if not _column(data, at, kinds[c], other, west, north, lowest[c], highest[c], symbols, numbers[c]):
             return False
     return at[FRONT] == at[BACK] and at[PLAIN_BITS] == 0
 
@@ -361,13 +365,21 @@ def packed(keys: Array, starts: Array, side: int, places: Array, numbers: Array,
     to_symbols(numbers, plan.kinds, plan.where, west, north, symbols)
     gaps = np.diff(places, prepend=-1) - 1
     gaps[starts[:-1]] = places[starts[:-1]]
-    tiles = [_folded(np.diff(keys[:, 0], prepend=0)), _folded(np.diff(keys[:, 1], prepend=0)), np.diff(starts) - 1]
-    every = np.concatenate([*tiles, gaps, symbols.reshape(-1)])
-    counts = np.array([len(keys)] * 3 + [len(places)] * (1 + len(numbers)), np.int64)
+    columns = [_folded(np.diff(keys[:, 0], prepend=0)), _folded(np.diff(keys[:, 1], prepend=0)), np.diff(starts) - 1]
+    columns.append(gaps)
+    for own, column in zip(numbers, symbols, strict=True):
+        chosen = own[column >= 0]
+        alike = len(chosen) == 0 or bool((chosen == chosen[0]).all())
+        columns.append(1 + _folded(chosen[:1] if len(chosen) else np.zeros(1, np.int64)) if alike else NONE_ALIKE)
+        columns.append(column[:0] if alike else column[column >= 0])
+    every, counts = np.concatenate(columns), np.array([len(column) for column in columns])
     room = 64 + len(every)
     while not (used := write(every, counts, out := np.empty(room, np.uint8))):
         room *= 4
     return out[:used].tobytes()
+
+
+NONE_ALIKE = np.zeros(1, np.int64)
 
 
 def _folded(numbers: Array) -> Array:
@@ -473,13 +485,20 @@ def read_reference(data: bytes, tiles: int, cells: int, side: int, plan: Plan) -
     columns: list[list[int]] = []
     for kind, other in zip(plan.kinds.tolist(), plan.where.tolist(), strict=True):
         chosen = [k for k in range(cells) if other == ALWAYS or columns[other][k]]
+        (alike,) = reader.column(1)
+        if alike:
+            column = [0] * cells
+            for k in chosen:
+                column[k] = unfold_reference(alike - 1)
+            columns.append(column)
+            continue
         symbols = dict(zip(chosen, reader.column(len(chosen)), strict=True))
         found: dict[tuple[int, int, int], int] = {}
-        column: list[int] = []
+        column = []
         for k in range(cells):
             number = symbols.get(k, 0) if kind == PLAIN else unfold_reference(symbols.get(k, 0))
             place = tile_of[k], *divmod(places[k], side)
-            if kind == PREDICTED:
+            if kind == PREDICTED and k in symbols:
                 number += expected_reference(found, *place, column[-1] if column else 0)
             found[place] = number
             column.append(number)

@@ -158,9 +158,14 @@ def _lean_numbers(cells: Array) -> Array:
     own = _evidence(cells)
     mean, top = _mean(own), _steps(own["z_max"])
     mm2 = variance_mm2(own)
-    drop = np.where(mm2 > 0, level(np.maximum(top - mean, 1), DROP_BITS), 0)
-    variance = level_above(mm2, 0)
-    return np.stack([level(own["n"], LEAN_BITS), np.where(mm2 > 0, top, mean), drop, variance])
+    height = np.where(mm2 > 0, top, mean)
+    drop = np.minimum(level(np.maximum(top - mean, 1), DROP_BITS), level_below(height + MOST_STEPS, DROP_BITS))
+    # As low as heights go: so deep below the mean can the lowest point lie, and so large can the variance be.
+    above = at_level(drop, DROP_BITS)
+    room = level_below(CM2 * above * (height - above + MOST_STEPS), 0)
+    drop = np.where(mm2 > 0, drop, 0)
+    variance = np.where(drop > 0, np.minimum(level_above(mm2, 0), room), 0)
+    return np.stack([level(own["n"], LEAN_BITS), height, drop, variance])
 
 
 def _lean_cells(numbers: Array) -> Array:

@@ -1,0 +1,159 @@
+"""Columns as adaptive codes: as the reference, back again, and never beyond the bytes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from terrafuse.kernels import adaptive
+from terrafuse.kernels.adaptive import ALWAYS, MOST, PLAIN, PREDICTED, SIGNED, Plan, Unpacked
+from terrafuse.types import Array
+
+SIDE = 8
+KINDS = np.array([PLAIN, SIGNED, PREDICTED, PREDICTED])
+WHERE = np.array([ALWAYS, ALWAYS, ALWAYS, 0])
+PLAN = Plan(KINDS, WHERE, np.array([0, -MOST, -MOST, -MOST]), np.full(4, MOST))
+SPREADS = (0, 1, 2, 5, 300, MOST)
+
+
+def columns(seed: int, spread: int) -> Unpacked:
+    """Tiles, cells and numbers at random; 0 where a column has none."""
+    rng = np.random.default_rng(seed)
+    counts = rng.integers(1, 1 + rng.integers(1, SIDE * SIDE + 1), rng.integers(1, 5))
+    places = np.concatenate([np.sort(rng.choice(SIDE * SIDE, count, replace=False)) for count in counts])
+    numbers = rng.integers(-spread, spread, (4, len(places)), endpoint=True)
+    numbers[0] = rng.choice(abs(numbers[0]), len(places)) * (rng.random(len(places)) < 0.5)
+    numbers[3, numbers[0] == 0] = 0
+    keys = np.sort(rng.integers(-spread, spread, (len(counts), 2), endpoint=True), axis=0)
+    return Unpacked(keys, np.cumsum([0, *counts]), places, numbers)
+
+
+def packed(whole: Unpacked, plan: Plan = PLAN) -> bytes:
+    return adaptive.packed(whole.keys, whole.starts, SIDE, whole.places, whole.numbers, plan)
+
+
+def unpacked(data: bytes, tiles: int, cells: int, first: int = MOST + 1) -> Unpacked | None:
+    return adaptive.unpacked(np.frombuffer(data, np.uint8), tiles, cells, SIDE, PLAN, first)
+
+
+def assert_same(one: Unpacked | None, other: Unpacked) -> None:
+    assert one is not None
+    for found, given_ in zip(one, other, strict=True):
+        np.testing.assert_array_equal(found, given_)
+
+
+@given(seed=st.integers(0, 2**31), spread=st.sampled_from(SPREADS))
+@settings(max_examples=100, deadline=None)
+def test_what_is_packed_is_unpacked_as_the_reference_does(seed: int, spread: int) -> None:
+    whole = columns(seed, spread)
+    tiles, cells = len(whole.keys), len(whole.places)
+    data = packed(whole)
+    assert_same(unpacked(data, tiles, cells), whole)
+    assert_same(adaptive.read_reference(data, tiles, cells, SIDE, PLAN), whole)
+
+
+@given(seed=st.integers(0, 2**31), spread=st.sampled_from(SPREADS), more=st.binary(min_size=1, max_size=3))
+@settings(max_examples=50, deadline=None)
+def test_bytes_too_few_or_too_many_are_none(seed: int, spread: int, more: bytes) -> None:
+    whole = columns(seed, spread)
+    tiles, cells, data = len(whole.keys), len(whole.places), packed(whole)
+    for k in range(len(data)):
+        assert unpacked(data[:k], tiles, cells) is None
+    assert unpacked(data + more, tiles, cells) is None
+    half = len(data) // 2
+    assert unpacked(data[:half] + more + data[half:], tiles, cells) is None
+
+
+@given(data=st.binary(max_size=80), tiles=st.integers(1, 5), cells=st.integers(1, 200))
+@settings(max_examples=500, deadline=None)
+def test_noise_is_none_or_within_bounds(data: bytes, tiles: int, cells: int) -> None:
+    out = unpacked(data, tiles, cells, first=3)
+    if out is None:
+        return
+    assert out.starts[[0, -1]].tolist() == [0, cells]
+    assert (np.diff(out.starts) > 0).all()
+    assert ((out.places >= 0) & (out.places < SIDE * SIDE)).all()
+    assert (abs(out.numbers) <= MOST).all()
+    assert ((out.numbers[0] >= 0) & (out.numbers[0] < 3)).all()
+    assert_rising(out)
+
+
+def assert_rising(out: Unpacked) -> None:
+    steps = np.diff(out.places, prepend=-1)
+    steps[out.starts[:-1]] = 1
+    assert (steps > 0).all()
+
+
+def test_numbers_beyond_bounds_are_none() -> None:
+    numbers = np.array([[0, 1, 2], [5, 5, 5], [1, 2, 4], [0, 0, 0]])
+    whole = Unpacked(np.zeros((1, 2), np.int64), np.array([0, 3]), np.array([0, 1, 9]), numbers)
+    data = packed(whole)
+    assert unpacked(data, 1, 3) is not None
+    assert unpacked(data, 1, 3, first=2) is None
+    for column, most in ((1, 4), (2, 3)):
+        highest = np.full(4, MOST)
+        highest[column] = most
+        plan = PLAN._replace(highest=highest)
+        assert adaptive.unpacked(np.frombuffer(data, np.uint8), 1, 3, SIDE, plan, MOST) is None
+
+
+def test_counts_that_are_not_the_cells_are_none() -> None:
+    for counts in ([2**46, 2**46], [1, 2**46], [3, 1], [1, 1]):
+        symbols = np.concatenate([np.zeros(4, np.int64), np.array(counts) - 1, np.zeros(3 + 4, np.int64)])
+        lengths = np.array([2, 2, 2, 3, 1, 1, 1, 1])
+        out = np.empty(1000, np.uint8)
+        used = adaptive.write(symbols, lengths, out)
+        assert unpacked(out[:used].tobytes(), 2, 3) is None
+
+
+@pytest.mark.parametrize("symbol", [0, 1, 2, 3, 4, 5, 8, 9, 2**20, 2**46])
+def test_classes(symbol: int) -> None:
+    # 0, 1, 2 by themselves; 3-4 are class 3, 5-8 class 4, 9-16 class 5, ...: class c holds 2^(c-2) + 1 to 2^(c-1).
+    own = adaptive.class_of(symbol)
+    assert own == symbol if symbol <= 2 else 2 ** (own - 2) + 1 <= symbol <= 2 ** (own - 1)
+
+
+def test_few_symbols_by_hand() -> None:
+    """One column of the symbols 0, 1: bits 1, then (after class 0) 0 1; and no plain bits.
+
+    p(end) = 1/2 at first. Bit 1: the lower half, range 2³² - 1 → (range >> 16)·32768 = 0x7FFF8000, p → 49152 = 3/4.
+    Bit 0 of the symbol 1, again after class 0 (as at the start): bound = 0x7FFF·49152 = 0x5FFF4000; above it: low =
+    0x5FFF4000, range = 0x7FFF8000 - 0x5FFF4000 = 0x20004000. Bit 1 (new p = 1/2): range = (0x2000)·32768 = 0x10000000.
+    What is sent is low: 5F FF 40 00.
+    """
+    out = np.empty(100, np.uint8)
+    used = adaptive.write(np.array([0, 1]), np.array([2]), out)
+    assert out[:used].tobytes().hex() == "5fff4000"
+
+
+def neighbours(places: list[int]) -> tuple[list[int], list[int]]:
+    at = np.array(places)
+    west, north = np.empty((2, len(at)), np.int64)
+    adaptive.neighbours(at, np.array([0, len(at)]), SIDE, west, north)
+    return west.tolist(), north.tolist()
+
+
+def test_neighbours() -> None:
+    # Row 0: i = 0, 1, 7; row 1: i = 0, 2, 7. Cell 8 begins a row: 7 is not beside it.
+    assert neighbours([0, 1, 7, 8, 10, 15]) == ([-1, 0, -1, -1, -1, -1], [-1, -1, -1, 0, -1, 2])
+    # Row 0 and row 2: what lies two rows back is no neighbour.
+    assert neighbours([3, 19]) == ([-1, -1], [-1, -1])
+
+
+def expected(numbers: list[int], west: list[int], north: list[int]) -> int:
+    values: Array = np.array(numbers)
+    return int(adaptive.expected(values, len(numbers) - 1, np.array(west), np.array(north)))
+
+
+def test_what_neighbours_let_expect() -> None:
+    # NW = 10, N = 14, W = 12: 12 + 14 - 10 = 16 is over both, so the larger: 14. NW = 13: 13, between them.
+    for corner, value in ((10, 14), (13, 13), (20, 12)):
+        assert expected([corner, 14, 12, 0], [-1, 0, -1, 2], [-1, -1, 0, 1]) == value
+    assert expected([14, 13, 0], [-1, -1, 1], [-1, -1, 0]) == 13  # no NW: (13 + 14) / 2, rounded down
+    assert expected([-14, -13, 0], [-1, -1, 1], [-1, -1, 0]) == -14
+    assert expected([7, 9, 0], [-1, -1, 1], [-1, -1, -1]) == 9  # W
+    assert expected([7, 9, 0], [-1, -1, -1], [-1, -1, 0]) == 7  # N
+    assert expected([7, 9, 0], [-1, -1, -1], [-1, -1, -1]) == 9  # the one before
+    assert expected([5], [-1], [-1]) == 0

@@ -163,7 +163,7 @@ class Feeder:
     """Maps on and on, and repeats its newest report so often that every node hears 500 messages a second."""
 
     def __init__(self, connect: str) -> None:
-        self.link = ZenohLink("r0", plain(connect=connect, max_frame_bytes=2000))
+        self.link = ZenohLink("r0", plain(connect=connect, max_frame_bytes=2000, queue_bytes=64 << 20))
         self.mapper, self._scans = Mapper("r0", LATTICE, MODEL), iter(random_scans(1, 60 * SCANS_PER_S))
         self._repeating = Repeating(self.link)
         self._courier = Courier(

@@ -130,7 +130,7 @@ class Holding:
         ahead = Known(known.base, {**known.ahead})
         for tile in fresh:
             ahead.learn(tile.key, piece.until)
-        claim = self._followed(ahead, delta.robot, piece)
+        claim = self._followed(ahead, delta.robot, piece, [tile.key for tile in delta.tiles])
         some = _piece(delta, fresh)
         try:
             if claim is not None and some.revision <= claim.until:
@@ -152,10 +152,15 @@ class Holding:
         if fresh or claim is not None:
             self.unsaid.setdefault(delta.robot, set()).update(tile.key for tile in fresh)
 
-    def _followed(self, ahead: Known, robot: str, piece: Piece) -> Claim | None:
-        """The claim that leads on from here: this piece's, or one that came before what it needs."""
+    def _followed(self, ahead: Known, robot: str, piece: Piece, keys: Iterable[TileKey]) -> Claim | None:
+        """The claim that leads on from here: this piece's, or one that came before what it needs.
+
+        A claim leaves out the tiles `keys` of its own piece: who could not take these does not follow it.
+        """
         if piece.claim is not None and piece.claim[1] > ahead.base:
-            self._claims[robot] = unpack_claim(*piece.claim)
+            claim = unpack_claim(*piece.claim)
+            own = tuple((key, min(piece.until, claim.until)) for key in keys)
+            self._claims[robot] = claim._replace(needs=(*claim.needs, *own))
         claim = self._claims.get(robot)
         return claim if claim is not None and claim.until > ahead.base and ahead.follows(claim) else None
 

@@ -19,8 +19,9 @@ from terrafuse.store.sqlite import SqliteStore
 from tests.program import PROGRAM
 
 STEP_S = 0.02
-SHOWN_BYTES = 3000
-MOST_S = 200
+SHOWN_BYTES = 12_000
+WITH = {"COLUMNS": "200", "PYTHONFAULTHANDLER": "1"}
+MOST_S = 100
 """Of a test, on a machine that is busy with others, too."""
 
 
@@ -69,7 +70,7 @@ class Processes:
     ) -> None:
         for process in self._running.values():
             if process.poll() is None:
-                process.kill()
+                process.send_signal(signal.SIGKILL if error is None else signal.SIGABRT)  # which says where it hangs
             process.wait()
         if error is not None:
             error.add_note(self.said())
@@ -82,7 +83,7 @@ class Processes:
         """The same command once more."""
         with (self._folder / f"{name}.log").open("ab") as log:
             self._running[name] = subprocess.Popen(
-                self._arguments[name], stdout=log, stderr=log, cwd=self._folder, env=os.environ | {"COLUMNS": "200"}
+                self._arguments[name], stdout=log, stderr=log, cwd=self._folder, env=os.environ | WITH
             )
 
     def kill(self, name: str) -> None:

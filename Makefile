@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 COMPILED := $(VENV)/.compiled
 
-.PHONY: help setup demo results test lint format bench accuracy wheel clean
+.PHONY: help setup demo results test lint format bench accuracy soak wheel clean
 
 help:
 	@echo "make demo      set up, then watch three simulated robots map a village"
@@ -13,6 +13,7 @@ help:
 	@echo "make test      set up, then lint, types and all tests"
 	@echo "make bench     time the kernels and the pipeline, side by side with NumPy, pandas and polars"
 	@echo "make accuracy  measure against surveyed truth (needs TERRAFUSE_RECORDINGS)"
+	@echo "make soak      20,000 random schedules of the exchange: minutes to an hour"
 	@echo "make wheel     build dist/*.whl"
 
 $(READY): pyproject.toml constraints.txt
@@ -62,6 +63,9 @@ accuracy: setup
 	$(BIN)/python -m tests.accuracy_terrain
 	$(BIN)/python -m tests.accuracy_occupancy
 	$(BIN)/python -m tests.accuracy_windows
+
+soak: setup
+	$(BIN)/python -m tests.exchange.soak
 
 wheel: setup
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .

@@ -27,6 +27,7 @@ MOST_TILES = 32
 """In a message."""
 MOST_NEEDS = 2048
 """Tiles in a claim."""
+MOST_LOOSE = 16
 SOME_PROGRESS = 5
 """Reports until a peer that still lacks something is told up to where it lacks nothing."""
 
@@ -43,6 +44,8 @@ class Bringer:
     ) -> None:
         self._node, self._holding, self._outbox, self._settings = node, holding, outbox, settings
         self._unlike = unlike
+        self._loose: list[Flight] = []
+        """Sent to whoever holds something else."""
         self._wants = Wants(holding, settings.period_s * SECOND_NS)
         self._cells = settings.message_cells
         if not isinf(settings.bytes_per_s):
@@ -137,7 +140,9 @@ class Bringer:
             del self._unlike[robot]
         some = tuple(tile for tile in delta.tiles if tile.key in wants)
         if some:
-            self._message(robot, replace(delta, tiles=some), self._holding.of(robot).base, [0], None, again=True)
+            until = self._holding.of(robot).base
+            message = self._message(robot, replace(delta, tiles=some), until, [0], None, again=True)
+            self._loose = [*self._loose[-MOST_LOOSE:], Flight(message, self._patience(None))]
         return bool(some)
 
     def _message(
@@ -167,7 +172,7 @@ class Bringer:
         return self._claimed(robot, min(behind), ours.base, {tile.key for tile in delta.tiles})
 
     def _claimed(self, robot: str, since: int, until: int, without: Collection[TileKey] = ()) -> Claim | None:
-        tiles = self._holding.tiles[robot].items()
+        tiles = self._holding.tiles.get(robot, {}).items()
         needs = [(key, min(last, until)) for key, last in tiles if last > since and key not in without]
         return Claim(since, until, tuple(sorted(needs))) if len(needs) <= MOST_NEEDS else None
 
@@ -201,7 +206,7 @@ class Bringer:
 
     def _repair(self, peer: Peer, known: PeerChannel) -> None:
         """Send again the parts that a peer lacks of messages that arrived in part."""
-        for flight in (*known.tiles.values(), *known.claims.values()):
+        for flight in (*known.tiles.values(), *known.claims.values(), *self._loose):
             if flight.message.id in peer.missing and flight.in_vain(peer):
                 self._outbox.put(flight.message, self._holding.channel.name, parts_of(flight.message, peer))
 

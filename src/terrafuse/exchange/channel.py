@@ -41,6 +41,8 @@ class Channel:
     """Only tiles within a peer's area of interest are for it: what the station tells a robot of the whole map."""
     guard: Guard | None = None
     """Asked before a delta comes into the store; what it refuses is counted by its reason."""
+    screen: Callable[[str, bytes], str | None] | None = None
+    """`screen(sender, message)`: asked likewise, before the delta's bytes are unpacked."""
     project: Callable[[Delta], Delta] = as_it_is
     """What becomes of this node's own contribution where it is reported: quantising, say. It must change nothing more
     when it is done again."""

@@ -16,8 +16,6 @@ SUSPECT_S = 600.0
 """For so long after a node was born again its robot is looked at, quiet or not."""
 MOST_AT_ONCE = 1
 """Tiles looked at in a tick."""
-LONGEST_S = 60.0
-"""Between two answers to the same difference."""
 
 
 class Comparing:
@@ -27,15 +25,15 @@ class Comparing:
         assert holding.store is not None
         self.unlike: dict[str, set[TileKey]] = {}
         """Tiles of which a peer holds something else."""
-        self._holding = holding
+        self._holding, self._settings = holding, settings
         self._contents = Contents(holding.store)
         self._quiet_ns = QUIET_PERIODS * settings.period_s * SECOND_NS
         self._patience_ns = 2 * settings.period_s * SECOND_NS
         self._changed_ns: dict[str, int] = {}
         self._until_ns: dict[str, float] = {}
         """Until when a robot is looked at, quiet or not."""
-        self._told: dict[str, tuple[float, float]] = {}
-        """Robots whose tiles a peer was told: when it may be again, and how long to wait after that."""
+        self._told: dict[tuple[str, str], tuple[float, float]] = {}
+        """Peers and robots whose tiles these were told: when they may be again, and how long to wait after that."""
         for robot, tiles in holding.tiles.items():
             self._contents.changed(robot, tiles)
 
@@ -60,7 +58,7 @@ class Comparing:
         some = [robot for robot in robots if self._compared(robot, now_ns) and not known[robot].ahead]
         return {robot: root for robot in some if (root := self._contents.root(robot)) is not None}
 
-    def hear(self, robot: str, theirs: Known, root: int, now_ns: int) -> bytes | None:
+    def hear(self, peer: str, robot: str, theirs: Known, root: int, now_ns: int) -> bytes | None:
         """A peer told its root: the digests of this node's tiles for it, if they differ."""
         ours = self._holding.known.get(robot)
         if ours is None or ours.ahead or theirs.ahead or ours.base != theirs.base:
@@ -70,12 +68,12 @@ class Comparing:
             self._until_ns[robot] = max(self._until_ns.get(robot, 0), now_ns + self._quiet_ns)
             return None
         if own == root:
-            self._told.pop(robot, None)
+            self._told.pop((peer, robot), None)
             return None
-        next_ns, patience_ns = self._told.get(robot, (0, self._patience_ns))
+        next_ns, patience_ns = self._told.get((peer, robot), (0, self._patience_ns))
         if now_ns < next_ns:
             return None
-        self._told[robot] = now_ns + patience_ns, min(2 * patience_ns, LONGEST_S * SECOND_NS)
+        self._told[peer, robot] = now_ns + patience_ns, self._settings.longer(patience_ns)
         tiles = self._contents.of(robot) or {}
         return encode_digests(
             Digests(robot, ours.base, [(key.x, key.y, digest) for key, digest in sorted(tiles.items())])

@@ -68,6 +68,7 @@ class Courier:
     `counts`: messages_sent, frames_sent and bytes_sent by kind (`bytes_sent.delta`, `.summary`, `.post`),
     messages_received by kind, deltas_applied, deltas_known (of which nothing was new), and what was refused by reason
     (`refused.checksum`, `.version`, `.gap`, `.delta`, ...).
+    `namesakes`: names that two nodes have, this one's perhaps; nothing is taken of either.
     `strangers`: nodes that speak another version of the protocol, and which; nothing of theirs is taken.
     """
 
@@ -85,6 +86,7 @@ class Courier:
         self.settings = settings or CourierSettings()
         self.counts: Counter[str] = Counter()
         self.strangers: dict[str, int] = {}
+        self.namesakes: frozenset[str] = frozenset()
         self._link = link
         self._only = None if peers is None else frozenset(peers)
         self._peers: dict[str, Peer] = {}
@@ -124,6 +126,7 @@ class Courier:
             for holding in self._holdings.values():
                 holding.begin()
         self._now_ns = now_ns
+        self.namesakes = self._lives.namesakes(now_ns)
         heard = {name for frame in self._link.receive(now_ns) if (name := self._receive(frame))}
         reporting = now_ns >= self._report_ns
         if reporting:
@@ -139,11 +142,6 @@ class Courier:
             bringer.reach(reached, now_ns, news=reporting or bool(heard), reporting=reporting)
         self._herald.say(now_ns, self._self.born_ns, reporting, self._posts.finished, self._posts.unsaid)
         self._outbox.send(now_ns)
-
-    @property
-    def namesakes(self) -> set[str]:
-        """Names that two nodes have, this one's perhaps; nothing is taken of either, and nothing brought."""
-        return self._lives.namesakes(self._now_ns)
 
     def post(self, peer: str, kind: str, payload: bytes) -> None:
         """Bring `payload` to a peer, reliably, in place of anything older of this kind that has not arrived.
@@ -248,7 +246,9 @@ class Courier:
         peer.area = None if summary.area is None else Bounds(*summary.area)
         for post in peer.posts.values():
             post.arrived |= post.flight is not None and post.flight.message.id in summary.finished
-        self._recover(peer)
+        for channel, said in summary.held.items():
+            if self.node in said:
+                self._recover(peer, channel)
         return sender
 
     def _peer(self, name: str) -> Peer | None:
@@ -256,17 +256,16 @@ class Courier:
             self._peers[name] = Peer(name)
         return self._peers.get(name)
 
-    def _recover(self, peer: Peer) -> None:
+    def _recover(self, peer: Peer, channel: str) -> None:
         """A peer that holds more of this node's robot than it ever reported, has it from an earlier life of the node.
 
         To the peers this is a life of its own then, or they would go by what it said before.
         """
-        for channel, holding in self._holdings.items():
-            known = peer.channels.get(channel)
-            if known is not None and holding.surpass(known.of(self.node).newest):
-                self._begin(self._now_ns)
-                if channel in self._comparing:
-                    self._comparing[channel].suspect(self.node, self._now_ns)
+        holding = self._holdings.get(channel)
+        if holding is not None and holding.surpass(peer.channels[channel].of(self.node).newest):
+            self._begin(self._now_ns)
+            if channel in self._comparing:
+                self._comparing[channel].suspect(self.node, self._now_ns)
 
     def _born_again(self, peer: Peer, *, clock_set_back: bool) -> None:
         if clock_set_back:
@@ -280,7 +279,7 @@ class Courier:
         comparing = self._comparing.get(channel)
         for robot, root in roots.items() if comparing is not None else ():
             assert comparing is not None
-            message = comparing.hear(robot, peer.channels[channel].of(robot), root, self._now_ns)
+            message = comparing.hear(peer.name, robot, peer.channels[channel].of(robot), root, self._now_ns)
             if message is not None:
                 topic = f"tiles/{channel}/{in_topic(robot)}/{self.node}"
                 self._outbox.put(self._outbox.message(topic, message), channel)

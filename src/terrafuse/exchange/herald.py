@@ -37,19 +37,23 @@ class Herald:
         self._share = settings.summary_share * settings.bytes_per_s
         self._soon_ns = 0
         """Until then it has nothing more to say than it must."""
+        self._whole = False
+        """Whether a whole summary is due."""
         self._next: dict[str, int] = {}
         """By channel, where the next whole summary goes on that can't say of all robots at once."""
 
     def say(self, now_ns: int, born_ns: int, whole: bool, finished: Callable[[], list[bytes]], posts: bool) -> None:
-        """All that is held, with `whole`; else what is new, if anything is and it is time. `posts`: some arrived."""
+        """All that is held, with `whole`; else what is new, if anything is; as soon as it is time. `posts`: arrived."""
+        self._whole |= whole
         news = posts or any(holding.unsaid for holding in self._holdings.values())
-        if not (whole or (news and now_ns >= self._soon_ns)):
+        if now_ns < self._soon_ns or not (self._whole or news):
             return
+        whole, self._whole = self._whole, False
         robots = {name: self._robots(name, whole) for name in self._holdings}
         held = {name: {robot: self._holdings[name].of(robot).base for robot in some} for name, some in robots.items()}
         ahead = {name: {robot: self._ahead(name, robot, whole) for robot in some} for name, some in robots.items()}
         roots = {name: self._comparing[name].roots(some, now_ns) for name, some in robots.items() if whole}
-        missing = dict(list(self._reassembler.missing().items())[-MOST_UNSAID:])
+        missing = dict(list(self._reassembler.missing().items())[-self._entries(MOST_UNSAID) :])
         counts = {name: len(holding.known) for name, holding in self._holdings.items()}
         head = Summary(VERSION, born_ns, now_ns, counts, area=self.area)
         size = 0
@@ -62,12 +66,16 @@ class Herald:
             holding.unsaid.clear()
         self._soon_ns = now_ns + round(max(self._settings.answer_s, size / self._share) * SECOND_NS)
 
+    def _entries(self, most: int) -> int:
+        """How many entries of a kind a summary should have, of so many."""
+        room = self._share * self._settings.period_s / ENTRY_BYTES / (len(self._holdings) + 1)
+        return most if room == inf else min(most, max(LEAST_ENTRIES, round(room)))
+
     def _robots(self, channel: str, whole: bool) -> Collection[str]:
         holding = self._holdings[channel]
         if not whole:
             return list(holding.unsaid)
-        room = self._share * self._settings.period_s / ENTRY_BYTES / max(len(self._holdings), 1)
-        count = len(holding.known) if room == inf else min(len(holding.known), max(LEAST_ENTRIES, round(room)))
+        count = self._entries(len(holding.known))
         start = self._next.get(channel, 0) % max(len(holding.known), 1)
         self._next[channel] = start + count
         return list(dict.fromkeys([*holding.unsaid, *islice(cycle(list(holding.known)), start, start + count)]))
@@ -77,5 +85,5 @@ class Herald:
         known, new = holding.of(robot), holding.unsaid.get(robot, set())
         keys = [key for key in known.ahead if key in new]
         if whole:
-            keys += [key for key in known.ahead if key not in new][:MOST_AHEAD]
+            keys += [key for key in known.ahead if key not in new][: self._entries(MOST_AHEAD)]
         return [(key.x, key.y, known.ahead[key]) for key in keys]

@@ -86,6 +86,10 @@ class Holding:
         """
         if self.store is None:
             return True
+        screen = self.channel.screen
+        if screen is not None and (reason := screen(sender, piece.delta)) is not None:
+            self._counts[f"refused.{reason}"] += 1
+            return True
         delta = decode(piece.delta, self.store.model.cell)
         if len(piece.sinces) not in (1, len(delta.tiles)):
             raise CodecError(f"{len(piece.sinces)} revisions for {len(delta.tiles)} tiles")
@@ -107,10 +111,7 @@ class Holding:
 
     def surpass(self, revision: int) -> bool:
         """A peer holds this revision of the node's own robot: is it of an earlier life of the node?"""
-        if self.own is None or not self.own.surpass(revision):
-            return False
-        self.of(self.own.robot).level(revision)
-        return True
+        return self.own is not None and self.own.surpass(revision)
 
     def _find(self) -> None:
         """What the store holds, and which of it is of an earlier life of this node."""
@@ -158,9 +159,9 @@ class Holding:
         A claim leaves out the tiles `keys` of its own piece: who could not take these does not follow it.
         """
         if piece.claim is not None and piece.claim[1] > ahead.base:
-            claim = unpack_claim(*piece.claim)
-            own = tuple((key, min(piece.until, claim.until)) for key in keys)
-            self._claims[robot] = claim._replace(needs=(*claim.needs, *own))
+            told = unpack_claim(*piece.claim)
+            own = tuple((key, min(piece.until, told.until)) for key in keys)
+            self._claims[robot] = told._replace(needs=(*told.needs, *own))
         claim = self._claims.get(robot)
         return claim if claim is not None and claim.until > ahead.base and ahead.follows(claim) else None
 

@@ -55,13 +55,13 @@ class Lives:
             self._spoke_ns[peer.name] = now_ns
         return born_ns == peer.born_ns
 
-    def namesakes(self, now_ns: int) -> set[str]:
+    def namesakes(self, now_ns: int) -> frozenset[str]:
         """Names that two nodes have, both of which speak."""
-        return {
+        return frozenset(
             name
             for name, rival in self._rivals.items()
             if rival.lives(now_ns) and now_ns < self._spoke_ns.get(name, 0) + OVER_NS
-        }
+        )
 
     def _takes_over(self, peer: Peer, born_ns: int, said_ns: int, now_ns: int) -> bool:
         rival = self._rivals.get(peer.name)

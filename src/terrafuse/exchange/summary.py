@@ -33,8 +33,8 @@ VERSION = 1
 TILES_AT_ONCE = 8
 MOST_GAPS = 64
 """Of one message, in a summary; parts beyond are asked for once these came."""
-FIXED_BYTES = 80
-"""Of a message without entries, beside the names of its channels, at most."""
+MAP_BYTES = 5
+"""That the head of a map takes at most."""
 
 
 class OtherVersion(CodecError):  # noqa: N818, that it is so is the error
@@ -80,45 +80,59 @@ class State:
 
 def pack(head: Summary, state: State, room: int) -> list[bytes]:
     """The summary as messages of at most `room` bytes, unless one entry alone takes more; at least one message."""
-    messages = [_begun(head)]
-    # Each channel's name twice, its number of robots, and the head of its map.
-    empty = left = room - FIXED_BYTES - sum(4 * len(_encode(name)) + 14 for name in head.robots)
-
-    def at_hand(entry: object) -> Summary:
-        nonlocal left
-        size = len(_encode(entry))
-        if size > left and left < empty:
-            messages.append(_begun(head))
-            left = empty
-        left -= size
-        return messages[-1]
-
+    pages = _Pages(head, room)
     for id_ in state.finished:
-        at_hand(id_).finished.append(id_)
+        pages.at_hand(id_).finished.append(id_)
     for id_, gaps in state.missing.items():
-        at_hand((id_, gaps[:MOST_GAPS])).missing.append((id_, gaps[:MOST_GAPS]))
+        pages.at_hand((id_, gaps[:MOST_GAPS])).missing.append((id_, gaps[:MOST_GAPS]))
     for channel, held in state.held.items():
+        roots, ahead = state.roots.get(channel, {}), state.ahead.get(channel, {})
         for robot, revision in held.items():
-            root = state.roots.get(channel, {}).get(robot)
-            message = at_hand((robot, revision) if root is None else (robot, revision, robot, root))
-            message.held.setdefault(channel, {})[robot] = revision
-            if root is not None:
-                message.roots.setdefault(channel, {})[robot] = root
-            tiles = state.ahead.get(channel, {}).get(robot, ())
-            for first in range(0, len(tiles), TILES_AT_ONCE):
-                flat = [
-                    number
-                    for x, y, until in tiles[first : first + TILES_AT_ONCE]
-                    for number in (x, y, until - revision)
-                ]
-                message = at_hand((robot, revision, robot, flat))
-                message.held.setdefault(channel, {})[robot] = revision
-                message.ahead.setdefault(channel, {}).setdefault(robot, []).extend(flat)
-    return [_encode(message) for message in messages]
+            _tell(pages, channel, robot, revision, roots.get(robot), ahead.get(robot, ()))
+    return [_encode(message) for message in pages.messages]
 
 
-def _begun(head: Summary) -> Summary:
-    return Summary(head.version, head.born_ns, head.said_ns, head.robots, {}, [], [], {}, {}, head.area)
+class _Pages:
+    """Messages that are being filled, one after the other."""
+
+    def __init__(self, head: Summary, room: int) -> None:
+        self._head = Summary(head.version, head.born_ns, head.said_ns, head.robots, area=head.area)
+        # Heads of maps and arrays grow with them.
+        self._room = self._left = room - len(_encode(self._head)) - min(6 * MAP_BYTES, room // 16)
+        self.messages = [self._begun()]
+
+    def at_hand(self, entry: object, *maps: str) -> Summary:
+        """The message with room for an entry, in these maps by channel, too; with their names as part of it."""
+        size = len(_encode(entry)) + sum(len(_encode(name)) + MAP_BYTES for name in maps)
+        if size > self._left and self._left < self._room:
+            self.messages.append(self._begun())
+            self._left = self._room
+        self._left -= size
+        return self.messages[-1]
+
+    def _begun(self) -> Summary:
+        head = self._head
+        return Summary(head.version, head.born_ns, head.said_ns, head.robots, {}, [], [], {}, {}, head.area)
+
+
+def _tell(
+    pages: _Pages, channel: str, robot: str, revision: int, root: int | None, tiles: Sequence[tuple[int, int, int]]
+) -> None:
+    """Of one robot, in one message or, with many tiles, several."""
+    message = pages.messages[-1]
+    names = [channel] * (channel not in message.held)
+    if root is None:
+        message = pages.at_hand((robot, revision), *names)
+    else:
+        message = pages.at_hand((robot, revision, robot, root), *names, channel)
+        message.roots.setdefault(channel, {})[robot] = root
+    message.held.setdefault(channel, {})[robot] = revision
+    for first in range(0, len(tiles), TILES_AT_ONCE):
+        some = tiles[first : first + TILES_AT_ONCE]
+        flat = [number for x, y, until in some for number in (x, y, until - revision)]
+        message = pages.at_hand((robot, revision, robot, flat), channel, channel)
+        message.held.setdefault(channel, {})[robot] = revision
+        message.ahead.setdefault(channel, {}).setdefault(robot, []).extend(flat)
 
 
 def unpack(message: bytes) -> Summary:

@@ -95,7 +95,7 @@ def check_delta(delta: Delta, map_: MapId, model: Model) -> None:
         if model.cell != tile.cells.dtype:
             raise DeltaError(f"cells of another kind than the model '{model.name}' has")
     # All at once: coarse tiles have few cells each, and which of them is at fault is asked only where one is.
-    if delta.tiles and model.check(np.concatenate([tile.cells for tile in delta.tiles])):
+    if delta.tiles and model.check(np.concatenate([opaque(tile.cells) for tile in delta.tiles]).view(model.cell)):
         for tile in delta.tiles:
             if flaw := model.check(tile.cells):
                 raise DeltaError(f"tile {tuple(tile.key)} has cells with {flaw}: no mapper makes such")

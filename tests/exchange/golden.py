@@ -35,13 +35,13 @@ GOLDEN = {
         # form
         "01"
         # header length
-        "25000000"
+        "20000000"
         # header, msgpack
-        "9da9656c65766174696f6e0104c0a272310002ce773594000203ce3b9aca00920100920100"
+        "9ca9656c65766174696f6e0104c0a272310002ce77359400020302ce3b9aca00"
         # body
-        "b14adb6fdf5867c1007702af075b6005a4fd5a36b800000001812f6282848d476f08"
+        "b13c208493e7824bd0afa12321238111f1736380a82260000001812f6282848d476f08"
         # CRC-32 of all before
-        "407781a1"
+        "97b25673"
     ),
     "elevation lean": bytes.fromhex(
         # magic
@@ -51,13 +51,13 @@ GOLDEN = {
         # form
         "02"
         # header length
-        "25000000"
+        "20000000"
         # header, msgpack
-        "9da9656c65766174696f6e0104c0a272310002ce773594000203ce3b9aca00920100920100"
+        "9ca9656c65766174696f6e0104c0a272310002ce77359400020302ce3b9aca00"
         # body
-        "b14adb6fdf5867c115a800000d475ee8"
+        "b13c208493e7824bd0bf8800000d475ee8"
         # CRC-32 of all before
-        "970117c7"
+        "5a9ab52a"
     ),
     "grey exact": bytes.fromhex(
         # magic
@@ -85,13 +85,13 @@ GOLDEN = {
         # form
         "01"
         # header length
-        "20000000"
+        "1b000000"
         # header, msgpack
-        "9da4677265790104c0a272310002ce773594000103ce3b9aca00920001920001"
+        "9ca4677265790104c0a272310002ce77359400010302ce3b9aca00"
         # body
-        "32c59f7dff9ffbff78ca8000f6f6f7112b"
+        "33380525cf9fedff3fe6a5c000f6f6f7112b"
         # CRC-32 of all before
-        "e2511fda"
+        "c2dfad37"
     ),
     "grey lean": bytes.fromhex(
         # magic
@@ -101,13 +101,13 @@ GOLDEN = {
         # form
         "02"
         # header length
-        "20000000"
+        "1b000000"
         # header, msgpack
-        "9da4677265790104c0a272310002ce773594000103ce3b9aca00920001920001"
+        "9ca4677265790104c0a272310002ce77359400010302ce3b9aca00"
         # body
-        "32c59f3e7efda4e0000002aaff"
+        "33380525c3b7cf8eea000002aaff"
         # CRC-32 of all before
-        "c4403489"
+        "5ecd41c3"
     ),
     "occupancy exact": bytes.fromhex(
         # magic
@@ -136,13 +136,13 @@ GOLDEN = {
         # form
         "01"
         # header length
-        "25000000"
+        "20000000"
         # header, msgpack
-        "9da96f63637570616e63790104c0a272310002ce773594000205ce3b9aca00920100920100"
+        "9ca96f63637570616e63790104c0a272310002ce77359400020502ce3b9aca00"
         # body
-        "b17211f8851d8d3c0d3000008a4108"
+        "b16ea7ed7a33372af6818000008a4108"
         # CRC-32 of all before
-        "bddd45f4"
+        "6ba2ef55"
     ),
     "occupancy lean": bytes.fromhex(
         # magic
@@ -152,13 +152,13 @@ GOLDEN = {
         # form
         "02"
         # header length
-        "25000000"
+        "20000000"
         # header, msgpack
-        "9da96f63637570616e63790104c0a272310002ce773594000205ce3b9aca00920100920100"
+        "9ca96f63637570616e63790104c0a272310002ce77359400020502ce3b9aca00"
         # body
-        "b17211f87dece30e1f20000003a078"
+        "b16ea7ed7a2dd532de43e0000003a078"
         # CRC-32 of all before
-        "4bd86e48"
+        "c5cb688e"
     ),
     "terrain exact": bytes.fromhex(
         # magic
@@ -191,13 +191,13 @@ GOLDEN = {
         # form
         "01"
         # header length
-        "21000000"
+        "1e000000"
         # header, msgpack
-        "9da77465727261696e0104c0a272310002ce773594000203ce3b9aca0091019101"
+        "9ca77465727261696e0104c0a272310002ce77359400020301ce3b9aca00"
         # body
-        "b14ae4ffb100ebbd4d5ec94a46241b3b600000024934ba3f0eef70"
+        "b1412d93fec403aef53555252918906ced800000024934ba3f0eef70"
         # CRC-32 of all before
-        "b54e3f1c"
+        "18623214"
     ),
     "terrain lean": bytes.fromhex(
         # magic
@@ -207,12 +207,12 @@ GOLDEN = {
         # form
         "02"
         # header length
-        "21000000"
+        "1e000000"
         # header, msgpack
-        "9da77465727261696e0104c0a272310002ce773594000203ce3b9aca0091019101"
+        "9ca77465727261696e0104c0a272310002ce77359400020301ce3b9aca00"
         # body
-        "b14ae4fc9d77aa6db7800000010eef70"
+        "b1412d93f275dea9b7dc0000010eef70"
         # CRC-32 of all before
-        "199158d0"
+        "85b67949"
     ),
 }

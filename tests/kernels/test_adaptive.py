@@ -24,18 +24,20 @@ def columns(seed: int, spread: int) -> Unpacked:
     counts = rng.integers(1, 1 + rng.integers(1, SIDE * SIDE + 1), rng.integers(1, 5))
     places = np.concatenate([np.sort(rng.choice(SIDE * SIDE, count, replace=False)) for count in counts])
     numbers = rng.integers(-spread, spread, (4, len(places)), endpoint=True)
-    numbers[0] = rng.choice(abs(numbers[0]), len(places)) * (rng.random(len(places)) < 0.5)
+    numbers[0] = np.minimum(abs(numbers[0]), 300) * (rng.random(len(places)) < 0.5)
     numbers[3, numbers[0] == 0] = 0
-    keys = np.sort(rng.integers(-spread, spread, (len(counts), 2), endpoint=True), axis=0)
-    return Unpacked(keys, np.cumsum([0, *counts]), places, numbers)
+    keys = np.array(sorted({(x, y) for x, y in rng.integers(-spread, spread, (20, 2), endpoint=True).tolist()}))
+    keys = np.concatenate([keys, keys[-1] + np.arange(1, 5)[:, None] * [0, 1]])[: len(counts)]
+    table = rng.integers(0, spread, (2, 1 + int(numbers[0].max())), endpoint=True)
+    return Unpacked(keys, np.cumsum([0, *counts]), table, places, numbers)
 
 
 def packed(whole: Unpacked, plan: Plan = PLAN) -> bytes:
-    return adaptive.packed(whole.keys, whole.starts, SIDE, whole.places, whole.numbers, plan)
+    return adaptive.packed(whole, SIDE, plan)
 
 
-def unpacked(data: bytes, tiles: int, cells: int, first: int = MOST + 1) -> Unpacked | None:
-    return adaptive.unpacked(np.frombuffer(data, np.uint8), tiles, cells, SIDE, PLAN, first)
+def unpacked(data: bytes, tiles: int, cells: int, table: tuple[int, int] = (0, 3)) -> Unpacked | None:
+    return adaptive.unpacked(np.frombuffer(data, np.uint8), tiles, cells, table, SIDE, PLAN)
 
 
 def assert_same(one: Unpacked | None, other: Unpacked) -> None:
@@ -48,28 +50,28 @@ def assert_same(one: Unpacked | None, other: Unpacked) -> None:
 @settings(max_examples=100, deadline=None)
 def test_what_is_packed_is_unpacked_as_the_reference_does(seed: int, spread: int) -> None:
     whole = columns(seed, spread)
-    tiles, cells = len(whole.keys), len(whole.places)
+    size = len(whole.keys), len(whole.places), whole.table.shape
     data = packed(whole)
-    assert_same(unpacked(data, tiles, cells), whole)
-    assert_same(adaptive.read_reference(data, tiles, cells, SIDE, PLAN), whole)
+    assert_same(unpacked(data, *size), whole)
+    assert_same(adaptive.read_reference(data, *size, SIDE, PLAN), whole)
 
 
 @given(seed=st.integers(0, 2**31), spread=st.sampled_from(SPREADS), more=st.binary(min_size=1, max_size=3))
 @settings(max_examples=50, deadline=None)
 def test_bytes_too_few_or_too_many_are_none(seed: int, spread: int, more: bytes) -> None:
     whole = columns(seed, spread)
-    tiles, cells, data = len(whole.keys), len(whole.places), packed(whole)
+    size, data = (len(whole.keys), len(whole.places), whole.table.shape), packed(whole)
     for k in range(len(data)):
-        assert unpacked(data[:k], tiles, cells) is None
-    assert unpacked(data + more, tiles, cells) is None
+        assert unpacked(data[:k], *size) is None
+    assert unpacked(data + more, *size) is None
     half = len(data) // 2
-    assert unpacked(data[:half] + more + data[half:], tiles, cells) is None
+    assert unpacked(data[:half] + more + data[half:], *size) is None
 
 
 @given(data=st.binary(max_size=80), tiles=st.integers(1, 5), cells=st.integers(1, 200))
 @settings(max_examples=500, deadline=None)
 def test_noise_is_none_or_within_bounds(data: bytes, tiles: int, cells: int) -> None:
-    out = unpacked(data, tiles, cells, first=3)
+    out = unpacked(data, tiles, cells, (1, 3))
     if out is None:
         return
     assert out.starts[[0, -1]].tolist() == [0, cells]
@@ -88,15 +90,15 @@ def assert_rising(out: Unpacked) -> None:
 
 def test_numbers_beyond_bounds_are_none() -> None:
     numbers = np.array([[0, 1, 2], [5, 5, 5], [1, 2, 4], [0, 0, 0]])
-    whole = Unpacked(np.zeros((1, 2), np.int64), np.array([0, 3]), np.array([0, 1, 9]), numbers)
+    whole = Unpacked(np.zeros((1, 2), int), np.array([0, 3]), np.empty((0, 3), int), np.array([0, 1, 9]), numbers)
     data = packed(whole)
     assert unpacked(data, 1, 3) is not None
-    assert unpacked(data, 1, 3, first=2) is None
+    assert unpacked(data, 1, 3, (0, 2)) is None
     for column, most in ((1, 4), (2, 3)):
         highest = np.full(4, MOST)
         highest[column] = most
         plan = PLAN._replace(highest=highest)
-        assert adaptive.unpacked(np.frombuffer(data, np.uint8), 1, 3, SIDE, plan, MOST) is None
+        assert adaptive.unpacked(np.frombuffer(data, np.uint8), 1, 3, (0, 3), SIDE, plan) is None
 
 
 def test_counts_that_are_not_the_cells_are_none() -> None:
@@ -128,18 +130,23 @@ def test_few_symbols_by_hand() -> None:
     assert out[:used].tobytes().hex() == "5fff4000"
 
 
-def neighbours(places: list[int]) -> tuple[list[int], list[int]]:
-    at = np.array(places)
+def neighbours(*tiles: tuple[int, int, list[int]]) -> tuple[list[int], list[int]]:
+    at = np.array([place for *_, places in tiles for place in places])
     west, north = np.empty((2, len(at)), np.int64)
-    adaptive.neighbours(at, np.array([0, len(at)]), SIDE, west, north)
+    keys, starts = np.array([tile[:2] for tile in tiles]), np.cumsum([0, *(len(places) for *_, places in tiles)])
+    adaptive.neighbours(keys, starts, at, SIDE, west, north)
     return west.tolist(), north.tolist()
 
 
 def test_neighbours() -> None:
     # Row 0: i = 0, 1, 7; row 1: i = 0, 2, 7. Cell 8 begins a row: 7 is not beside it.
-    assert neighbours([0, 1, 7, 8, 10, 15]) == ([-1, 0, -1, -1, -1, -1], [-1, -1, -1, 0, -1, 2])
+    assert neighbours((0, 0, [0, 1, 7, 8, 10, 15])) == ([-1, 0, -1, -1, -1, -1], [-1, -1, -1, 0, -1, 2])
     # Row 0 and row 2: what lies two rows back is no neighbour.
-    assert neighbours([3, 19]) == ([-1, -1], [-1, -1])
+    assert neighbours((0, 0, [3, 19])) == ([-1, -1], [-1, -1])
+    # Row 7 of the tile below, then its row 0; but not of the tile beside, nor of one that is further.
+    assert neighbours((0, 0, [56, 57]), (0, 1, [0, 1, 9])) == ([-1, 0, -1, 2, -1], [-1, -1, 0, 1, 3])
+    for other in ((1, 1), (0, 2), (1, 0)):
+        assert neighbours((0, 0, [56, 57]), (*other, [0, 1])) == ([-1, 0, -1, 2], [-1] * 4)
 
 
 def expected(numbers: list[int], west: list[int], north: list[int]) -> int:

@@ -37,6 +37,8 @@ MAX_CELLS = 1 << 24
 """In one message: 1.4 GB of elevation cells. What is larger travels as several deltas."""
 START = struct.Struct("<3sBBI")
 """Magic, version, form, length of the header."""
+TABLE_ROWS, LOW = 3, 2**32 - 1
+"""Of stamps and revisions: by how many revisions it is older than the delta, and its age in units, in two words."""
 FORMS = {code: name for name, code in CODES.items()}
 
 
@@ -74,11 +76,10 @@ class _Exact(_Header):
 class _Rounded(_Header):
     tiles: int
     cells: int
+    pairs: int
+    """Distinct stamps and revisions of cells."""
     unit_ns: int
-    backs: list[int]
-    """By how many revisions the cells that are number 0, 1, ... in the table are older than `revision`,"""
-    ages: list[int]
-    """and by how many units than `stamp_ns`."""
+    """Of which the stamps are so many away from `stamp_ns`."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -276,28 +277,38 @@ def _encode_rounded(delta: Delta, name: str, profile: Profile) -> bytes | None:
     again["stamp"], again["revision"] = cells["stamp"], cells["revision"]
     if (opaque(again) != opaque(cells)).any() or not profile.holds(numbers):
         return None
-    pairs, seen = _pairs(cells)
-    backs = [delta.revision - revision for _, revision in pairs]
-    ages = [delta.stamp_ns - stamp for stamp, _ in pairs]
+    stamps, revisions, seen = _pairs(cells)
+    ages = [delta.stamp_ns - stamp for stamp in stamps]
     counts, unit_ns = [len(tile.at) for tile in delta.tiles], gcd(*ages) or 1
-    ages = [age // unit_ns for age in ages]
-    header = _Rounded(**_common(delta), tiles=len(counts), cells=sum(counts), unit_ns=unit_ns, backs=backs, ages=ages)
-    keys = np.array([(tile.key.x, tile.key.y) for tile in delta.tiles], np.int64)
-    places = np.concatenate([tile.at for tile in delta.tiles]).astype(np.int64)
-    starts, side = np.cumsum([0, *counts]), delta.map.lattice.tile_cells
-    body = adaptive.packed(keys, starts, side, places, np.vstack([seen, numbers]), profile.plan)
-    return _sealed(name, header, [body])
+    header = _Rounded(**_common(delta), tiles=len(counts), cells=sum(counts), pairs=len(ages), unit_ns=unit_ns)
+    folded = [_folded(age // unit_ns) for age in ages]
+    whole = adaptive.Unpacked(
+        np.array([(tile.key.x, tile.key.y) for tile in delta.tiles], np.int64),
+        np.cumsum([0, *counts]),
+        np.array([delta.revision - revisions, [age & LOW for age in folded], [age >> 32 for age in folded]], np.int64),
+        np.concatenate([tile.at for tile in delta.tiles]).astype(np.int64),
+        np.vstack([seen, numbers]),
+    )
+    return _sealed(name, header, [adaptive.packed(whole, delta.map.lattice.tile_cells, profile.plan)])
 
 
-def _pairs(cells: Array) -> tuple[list[tuple[int, int]], Array]:
-    """The distinct (stamp, revision), the most frequent first, and each cell's number among these."""
+def _folded(number: int) -> int:
+    return 2 * number if number >= 0 else -2 * number - 1
+
+
+def _unfolded(number: int) -> int:
+    return -(number + 1) // 2 if number & 1 else number // 2
+
+
+def _pairs(cells: Array) -> tuple[list[int], Array, Array]:
+    """Stamps and revisions of the distinct pairs of both, the most frequent first; each cell's number among these."""
     both = np.empty(len(cells), [("stamp", "<i8"), ("revision", "<i8")])
     both["stamp"], both["revision"] = cells["stamp"], cells["revision"]
     pairs, seen, counts = np.unique(both, return_inverse=True, return_counts=True)
     order = np.argsort(-counts, kind="stable")
     rank = np.empty(len(pairs), np.int64)
     rank[order] = np.arange(len(pairs))
-    return pairs[order].tolist(), rank[seen.reshape(-1)]
+    return pairs["stamp"][order].tolist(), pairs["revision"][order], rank[seen.reshape(-1)]
 
 
 def _rounded_tiles(
@@ -308,12 +319,13 @@ def _rounded_tiles(
         raise CodecError(f"cells of '{header.model}' in the form '{form}', which this terrafuse does not know")
     if not 0 < header.tiles <= header.cells <= header.tiles * side * side:
         raise CodecError(f"{header.tiles} tiles of {side}×{side} cells can't hold {header.cells}")
-    stamps, revisions = _table(header)
-    found = adaptive.unpacked(
-        np.frombuffer(body, np.uint8), header.tiles, header.cells, side, profile.plan, len(stamps)
-    )
+    if not 0 < header.pairs <= header.cells:
+        raise CodecError(f"{header.pairs} stamps and revisions for {header.cells} cells")
+    table = TABLE_ROWS, header.pairs
+    found = adaptive.unpacked(np.frombuffer(body, np.uint8), header.tiles, header.cells, table, side, profile.plan)
     if found is None:
         raise CodecError("a body that does not hold the cells that its header tells of")
+    stamps, revisions = _table(header, found.table)
     cells = profile.cells(found.numbers[1:])
     if cells.dtype != cell:
         raise CodecError(f"cells of '{header.model}' with fields {fields_of(cells.dtype)}, not {fields_of(cell)}")
@@ -325,15 +337,15 @@ def _rounded_tiles(
     )
 
 
-def _table(header: _Rounded) -> tuple[Array, Array]:
+def _table(header: _Rounded, table: Array) -> tuple[Array, Array]:
     """Stamps and revisions of cells, by their numbers."""
-    if not 0 < len(header.backs) == len(header.ages) <= header.cells:
-        raise CodecError(f"{len(header.backs)} revisions and {len(header.ages)} stamps for {header.cells} cells")
-    stamps = [header.stamp_ns - age * header.unit_ns for age in header.ages]
-    if min(stamps) < 0 or max(stamps) >= 2**63:
+    backs, lows, highs = table.tolist()
+    ages = (_unfolded(high << 32 | low) for low, high in zip(lows, highs, strict=True))
+    stamps = [header.stamp_ns - age * header.unit_ns for age in ages]
+    if min(stamps) < 0 or max(stamps) >= 2**63 or max(lows) > LOW:
         raise CodecError("cells from before 1970, or from times beyond 63 bits")
     if header.revision > MAX_REVISION:
         raise CodecError(f"impossible revisions up to {header.revision}")
-    if min(header.backs) < 0 or max(header.backs) >= header.revision:
+    if max(backs) >= header.revision:
         raise CodecError("cells of revisions newer than the delta, or none")
-    return np.array(stamps, np.int64), np.array([header.revision - back for back in header.backs], np.uint32)
+    return np.array(stamps, np.int64), np.array([header.revision - back for back in backs], np.uint32)

@@ -23,8 +23,8 @@ DIRECT = 2
 MOST_CLASS = 48
 """So that numbers stay below 2⁴⁷, and sums of a few within 63 bits."""
 CLASSES = MOST_CLASS + 1
-CONTEXTS = 8
-"""A class is learnt apart by the class of the symbol before it in the column: 0 to 6, or more."""
+CONTEXTS = 4
+"""A class is learnt apart by the class of the symbol before it in the column: 0, 1, 2, or more."""
 ONE, HALF = 1 << 16, 1 << 15
 """Probabilities in 1/65536."""
 STEADY = 62
@@ -80,21 +80,22 @@ def expected(numbers, k, west, north):
 
 
 @njit(cache=True, nogil=True)
-def neighbours(at, starts, side, west, north):
-    """Of each cell the number of the one at (i - 1, j), `west`, and of the one at (i, j - 1), `north`, as pictures have
-    it; -1 where the tile holds none.
+def neighbours(keys, starts, at, side, west, north):
+    """Of each cell the number of the one at (i - 1, j) in its tile, `west`, and of the one at (i, j - 1), `north`, as
+    pictures have it, be it in the tile (x, y - 1) just before; -1 where there is none.
 
-    at (K,) flat positions, rising within each tile; tile t holds starts[t]:starts[t + 1].
+    at (K,) flat positions, rising within each tile; tile t, keys[t], holds starts[t]:starts[t + 1].
     """
-    latest = np.full(side, -1, np.int64)
+    latest, rows, oldest = np.full(side, -1, np.int64), np.empty(side, np.int64), np.int64(0)
     for t in range(starts.shape[0] - 1):
         first = starts[t]
+        if t > 0 and (keys[t, 0] != keys[t - 1, 0] or keys[t, 1] != keys[t - 1, 1] + 1):
+            oldest = first
         for k in range(first, starts[t + 1]):
-            i = at[k] % side
+            row, i = keys[t, 1] * side + at[k] // side, at[k] % side
             west[k] = k - 1 if i > 0 and k > first and at[k - 1] == at[k] - 1 else -1
-            last = latest[i]
-            north[k] = last if last >= first and at[last] == at[k] - side else -1
-            latest[i] = k
+            north[k] = latest[i] if latest[i] >= oldest and rows[i] == row - 1 else -1
+            latest[i], rows[i] = k, row
 
 
 @njit(cache=True, nogil=True)
@@ -331,8 +332,9 @@ def _column(data, at, kind, other, west, north, lowest, highest, symbols, number
 
 
 @njit(cache=True, nogil=True)
-def read(data, side, kinds, where, lowest, highest, keys, starts, places, numbers):
-    """data (B,) uint8 → keys (T, 2), starts (T + 1,), places (K,), numbers (C, K); False unless it is just these.
+def read(data, side, kinds, where, lowest, highest, keys, starts, table, places, numbers):
+    """data (B,) uint8 → keys (T, 2), starts (T + 1,), table (R, P) of numbers ≥ 0, places (K,), numbers (C, K); False
+    unless it is just these.
 
     Tile t of `side`² cells, keys[t], holds starts[t]:starts[t + 1] of the cells. Numbers of column c are lowest[c] to
     highest[c].
@@ -342,11 +344,14 @@ def read(data, side, kinds, where, lowest, highest, keys, starts, places, number
     at, cells = _begin(data), places.shape[0]
     if not _tiles(data, at, cells, keys, starts):
         return False
+    for row in range(table.shape[0]):
+        if not _symbols(data, at, table[row]):
+            return False
     symbols = np.empty(cells, np.int64)
     if not _symbols(data, at, symbols) or not _places(symbols, starts, np.int64(side) * side, places):
         return False
     west, north = np.empty(cells, np.int64), np.empty(cells, np.int64)
-    neighbours(places, starts, side, west, north)
+    neighbours(keys, starts, places, side, west, north)
     for c in range(numbers.shape[0]):
         other = numbers[where[c]] if where[c] >= 0 else symbols[:0]
         if not _column(data, at, kinds[c], other, west, north, lowest[c], highest[c], symbols, numbers[c]):
@@ -357,16 +362,32 @@ def read(data, side, kinds, where, lowest, highest, keys, starts, places, number
 # --- for whoever has arrays -------------------------------------------------------------------------------------------
 
 
-def packed(keys: Array, starts: Array, side: int, places: Array, numbers: Array, plan: Plan) -> bytes:
-    """Tiles (T, 2), where each one's cells begin (T + 1,), positions (K,) and numbers (C, K), int64, as bytes."""
+class Unpacked(NamedTuple):
+    """What a body holds: int64, but for places, which may be int32."""
+
+    keys: Array
+    """(T, 2), rising."""
+    starts: Array
+    """(T + 1,): tile t holds starts[t]:starts[t + 1] of the cells, one at least."""
+    table: Array
+    """(R, P) of numbers ≥ 0 that cells refer to."""
+    places: Array
+    """(K,) flat positions, rising within each tile."""
+    numbers: Array
+    """(C, K), within the plan's bounds, and 0 where the plan has none; the first row is below P."""
+
+
+def packed(whole: Unpacked, side: int, plan: Plan) -> bytes:
+    """All that there is of so many tiles of `side`² cells, as bytes."""
+    keys, starts, table, places, numbers = whole
     west, north = np.empty(len(places), np.int64), np.empty(len(places), np.int64)
-    neighbours(places, starts, side, west, north)
+    neighbours(keys, starts, places, side, west, north)
     symbols = np.empty(numbers.shape, np.int64)
     to_symbols(numbers, plan.kinds, plan.where, west, north, symbols)
     gaps = np.diff(places, prepend=-1) - 1
     gaps[starts[:-1]] = places[starts[:-1]]
     columns = [_folded(np.diff(keys[:, 0], prepend=0)), _folded(np.diff(keys[:, 1], prepend=0)), np.diff(starts) - 1]
-    columns.append(gaps)
+    columns += [*table, gaps]
     for own, column in zip(numbers, symbols, strict=True):
         chosen = own[column >= 0]
         alike = len(chosen) == 0 or bool((chosen == chosen[0]).all())
@@ -386,25 +407,15 @@ def _folded(numbers: Array) -> Array:
     return (numbers << 1) ^ (numbers >> 63)
 
 
-class Unpacked(NamedTuple):
-    """As `packed` takes it; places are int32."""
-
-    keys: Array
-    starts: Array
-    places: Array
-    numbers: Array
-
-
-def unpacked(data: Array, tiles: int, cells: int, side: int, plan: Plan, first: int) -> Unpacked | None:
-    """The inverse of `packed`, of so many tiles and cells; None for bytes that are not just these.
-
-    Numbers of the first column are below `first`.
-    """
+def unpacked(data: Array, tiles: int, cells: int, table: tuple[int, int], side: int, plan: Plan) -> Unpacked | None:
+    """The inverse of `packed`, of so many tiles, cells, and rows and columns of the table; None for bytes that are not
+    just these."""
     highest = plan.highest.copy()
-    highest[0] = first - 1
+    highest[0] = table[1] - 1
     out = Unpacked(
         np.empty((tiles, 2), np.int64),
         np.empty(tiles + 1, np.int64),
+        np.empty(table, np.int64),
         np.empty(cells, np.int32),
         np.empty((len(plan.kinds), cells), np.int64),
     )
@@ -464,20 +475,21 @@ def unfold_reference(symbol: int) -> int:
     return -(symbol + 1) // 2 if symbol % 2 else symbol // 2
 
 
-def expected_reference(numbers: dict[tuple[int, int, int], int], tile: int, j: int, i: int, last: int) -> int:
-    """What `expected` must equal, of numbers by (tile, j, i)."""
-    w, n = numbers.get((tile, j, i - 1)), numbers.get((tile, j - 1, i))
+def expected_reference(numbers: dict[tuple[int, int, int], int], x: int, j: int, i: int, last: int) -> int:
+    """What `expected` must equal, of numbers by (tile's x, row of all tiles, column of the tile)."""
+    w, n = numbers.get((x, j, i - 1)), numbers.get((x, j - 1, i))
     if w is None or n is None:
         return next((number for number in (w, n) if number is not None), last)
-    corner = numbers.get((tile, j - 1, i - 1))
+    corner = numbers.get((x, j - 1, i - 1))
     return (w + n) // 2 if corner is None else sorted((w, n, w + n - corner))[1]
 
 
-def read_reference(data: bytes, tiles: int, cells: int, side: int, plan: Plan) -> Unpacked:
+def read_reference(data: bytes, tiles: int, cells: int, table: tuple[int, int], side: int, plan: Plan) -> Unpacked:
     """What `unpacked` must equal, of bytes that are sound."""
     reader = ReaderReference(data)
     x, y = (np.cumsum([unfold_reference(symbol) for symbol in reader.column(tiles)]) for _ in range(2))
     counts = [symbol + 1 for symbol in reader.column(tiles)]
+    rows = np.array([reader.column(table[1]) for _ in range(table[0])], np.int64)
     tile_of = [t for t, count in enumerate(counts) for _ in range(count)]
     places: list[int] = []
     for k, gap in enumerate(reader.column(cells)):
@@ -497,11 +509,13 @@ def read_reference(data: bytes, tiles: int, cells: int, side: int, plan: Plan) -
         column = []
         for k in range(cells):
             number = symbols.get(k, 0) if kind == PLAIN else unfold_reference(symbols.get(k, 0))
-            place = tile_of[k], *divmod(places[k], side)
+            j, i = divmod(places[k], side)
+            place = int(x[tile_of[k]]), int(y[tile_of[k]]) * side + j, i
             if kind == PREDICTED and k in symbols:
                 number += expected_reference(found, *place, column[-1] if column else 0)
             found[place] = number
             column.append(number)
         columns.append(column)
     starts = np.cumsum([0, *counts])
-    return Unpacked(np.stack([x, y], axis=1), starts, np.array(places, np.int32), np.array(columns, np.int64))
+    keys = np.stack([x, y], axis=1)
+    return Unpacked(keys, starts, rows, np.array(places, np.int32), np.array(columns, np.int64))

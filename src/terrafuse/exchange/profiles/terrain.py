@@ -152,7 +152,7 @@ LEAN = Profile(
         Quantity("wall", most=1),
         Quantity("height", PREDICTED),
         Quantity("confidence", PREDICTED, most_level(CONFIDENCES, LEAN_BITS)),
-        Quantity("occupation", most=1 + LEAN_OCCUPATIONS, where="coarse"),
+        Quantity("occupation", PREDICTED, 1 + LEAN_OCCUPATIONS, "coarse"),
     ),
     _lean_numbers,
     _lean_cells,

@@ -2,6 +2,7 @@
 
     python -m bench.results               every shipped scenario
     python -m bench.results village       only this one; the page keeps the others' parts
+    ... --kept-sweeps                     with the tables of many missions, which take most of the time, as they were
 
 What a scenario leaves behind besides stays in --out.
 """
@@ -9,6 +10,7 @@ What a scenario leaves behind besides stays in --out.
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import sys
 from collections.abc import Iterator, Sequence
@@ -53,15 +55,24 @@ def main(arguments: Sequence[str] | None = None) -> None:
     asked.add_argument("--duration", type=float, help="simulated seconds, for a try")
     asked.add_argument("--threads", type=int, default=2)
     asked.add_argument("--no-sweeps", action="store_true", help="leave out the tables that take several missions")
+    asked.add_argument("--kept-sweeps", action="store_true", help="take these as they were left behind last time")
     given = asked.parse_args(arguments)
     for name in given.scenarios or ordered(scenario_names()):
         loaded = changed(load_scenario(name), duration_s=given.duration)
         tell(loaded.name)
         out = given.out / loaded.name
         report = run(loaded, out, threads=given.threads, overwrite=True, stage=tell)
-        sweep = None if given.no_sweeps else SWEEPS.get(loaded.scenario.study)
-        sweeps = sweep(loaded, tell) if sweep else []
+        sweeps = [] if given.no_sweeps else swept(loaded, given.out / f"{loaded.name}-sweeps.json", given.kept_sweeps)
         put(given.docs / PAGE, loaded.name, section(loaded, report, sweeps, out, given.docs / IMAGES))
+
+
+def swept(loaded: Loaded, path: Path, kept: bool) -> list[Table]:
+    """The tables of several missions, run now or as `path` has them."""
+    if not kept:
+        sweep = SWEEPS.get(loaded.scenario.study)
+        tables = sweep(loaded, tell) if sweep else []
+        path.write_text(json.dumps([table.as_json() for table in tables]), encoding="utf-8")
+    return [from_json(table) for table in json.loads(path.read_text(encoding="utf-8"))]
 
 
 def section(loaded: Loaded, report: dict[str, Any], sweeps: Sequence[Table], out: Path, images: Path) -> str:

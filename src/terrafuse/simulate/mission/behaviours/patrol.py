@@ -34,6 +34,9 @@ NEAR_M = 12.0
 """A waypoint in an obstacle is moved to free ground this near, or left out."""
 CHECK_M = 15.0
 """Around the robot, its path is held against its map again."""
+LOOK_AHEAD, TRIES = 3, 5
+"""A waypoint is left out for one of the next two, or after so many tries to find a way to any of the three."""
+BACK_S = 1.5
 STOP_S = 0.6
 BESIDE_M = 0.1
 
@@ -67,7 +70,8 @@ class Patrol:
         self._progress: Progress | None = None
         self._next_check_s = 0.0
         self._waits_since_s: float | None = None
-        self._back_until_s = 0.0
+        self._back_until_s = self._again_s = 0.0
+        self._tries = 0
         # Of two that wait for each other, one gives way first.
         self._patience_s = settings.patience_s * float(rng.uniform(0.75, 1.5))
 
@@ -83,7 +87,7 @@ class Patrol:
             return Drive()
         if self._routes is None and not self.settings.planned:
             self._straight(me)
-        elif self._routes is None or self._closed(me):
+        elif me.now_s >= self._again_s and (self._routes is None or self._closed(me)):
             self._plan(me)
         return self._follow(me)
 
@@ -124,18 +128,30 @@ class Patrol:
         return True
 
     def _plan(self, me: Situation) -> None:
-        """The way to the next waypoint that there is one to."""
+        """The way to the next waypoint that there is one to; where there is none to several, it is hemmed in itself,
+        by what will move on or by what its map believes, and tries again from a little further back."""
         self._forget()
-        while self._goals and self._path is None:
-            self._path = self._way(me, self._goals[0])
-            if self._path is None:
-                self._goals.pop(0)
-                self.counts["left_out"] += 1
-        if self._path is not None:
-            self.counts["plans"] += 1
-            self._routes = routes_of([np.vstack([me.place_m, self._path.waypoints_m[1:]])], me.body)
-            self._progress = at_start(self._routes)
-            self._next_check_s = me.now_s + self.settings.check_s
+        for skipped, goal in enumerate(self._goals[:LOOK_AHEAD]):
+            self._path = self._way(me, goal)
+            if self._path is not None:
+                self._leave_out(skipped)
+                self._set_out(me, self._path)
+                return
+        self._tries += 1
+        self._back_until_s, self._again_s = me.now_s + BACK_S, me.now_s + self._patience_s
+        if self._tries >= TRIES:
+            self._leave_out(1)
+
+    def _leave_out(self, goals: int) -> None:
+        del self._goals[:goals]
+        self.counts["left_out"] += goals
+        self._tries = 0
+
+    def _set_out(self, me: Situation, path: Path) -> None:
+        self.counts["plans"] += 1
+        self._routes = routes_of([np.vstack([me.place_m, path.waypoints_m[1:]])], me.body)
+        self._progress = at_start(self._routes)
+        self._next_check_s = me.now_s + self.settings.check_s
 
     def _straight(self, me: Situation) -> None:
         """All of the route at once."""
@@ -191,7 +207,7 @@ class Patrol:
             self._waits_since_s = me.now_s
         elif me.now_s - self._waits_since_s > self._patience_s:
             self._waits_since_s = None
-            self._back_until_s = me.now_s + 1.5
+            self._back_until_s = me.now_s + BACK_S
             self.counts["detours"] += 1
             if self.settings.planned:
                 self._forget()

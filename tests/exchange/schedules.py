@@ -25,17 +25,17 @@ from terrafuse.store.memory import MemoryStore
 from terrafuse.testing.deltas import random_scans
 
 STEP_NS = 250_000_000
-SCANS, SCAN_NS = 6, 500_000_000
-DISTURBED_NS = 4_000_000_000
+SCANS, SCAN_NS = 4, 500_000_000
+DISTURBED_NS = 3_000_000_000
 """Until then there are scans, cuts and restarts; what links do to single frames goes on."""
 LONGEST_NS = 400_000_000_000
 """By then all must be level: half of the frames lost both ways makes for long waits, but not for ever."""
 FINE, FACTOR = Lattice(0.5, 2.0), 2
 LATTICES = {"coarse": FINE.coarser(FACTOR), "fine": FINE}
 MODEL = make_model("occupancy")
-SETTINGS = CourierSettings(period_s=0.5, answer_s=0.25, retry_s=0.5, longest_retry_s=2.0, message_cells=24)
+SETTINGS = CourierSettings(period_s=1.0, answer_s=0.25, retry_s=0.5, longest_retry_s=2.0, message_cells=24)
 SEQUENCES = 12
-BEGINNINGS = (0, 2, 4)
+BEGINNINGS = (0, 1, 2)
 """Scans with which a robot that lost everything may begin anew."""
 
 
@@ -45,7 +45,7 @@ def reports(sequence: int, first: int) -> dict[str, list[Delta]]:
     mapper = Mapper("robot", FINE, MODEL)
     coarse = CoarseContribution(mapper, FACTOR)
     out: dict[str, list[Delta]] = {"coarse": [], "fine": []}
-    for scan in random_scans(sequence, SCANS, 3.0, 5)[first:]:
+    for scan in random_scans(sequence, SCANS, 3.0, 4)[first:]:
         mapper.integrate(scan)
         coarse.update()
         out["coarse"].append(coarse.delta())
@@ -131,7 +131,7 @@ def schedule_of(seed: int) -> Schedule:
 
 def _shape(rng: np.random.Generator) -> tuple[tuple[str, ...], tuple[str, ...], dict[str, frozenset[str]]]:
     """(robots, stations, whom each hears) of 2 to 6 nodes: a star, a mesh, a chain, or two stars side by side."""
-    count = int(rng.choice([2, 3, 4, 5, 6], p=[0.35, 0.3, 0.2, 0.1, 0.05]))
+    count = int(rng.choice([2, 3, 4, 5, 6], p=[0.5, 0.27, 0.13, 0.06, 0.04]))
     names = tuple(f"r{k}" for k in range(1, count + 1))
     shape = rng.choice(["star", "mesh", "chain", "hierarchy"])
     if shape == "mesh":
@@ -152,8 +152,8 @@ def _heard(names: Sequence[str], pairs: Sequence[tuple[str, str]]) -> dict[str, 
 
 
 def _cut(rng: np.random.Generator) -> Cut:
-    start_s = float(rng.uniform(0, 3.5))
-    return Cut(start_s, min(start_s + float(rng.uniform(0.5, 5)), DISTURBED_NS / 1e9))
+    start_s = float(rng.uniform(0, 2.5))
+    return Cut(start_s, min(start_s + float(rng.uniform(0.5, 4)), DISTURBED_NS / 1e9))
 
 
 def _restart(rng: np.random.Generator, nodes: Sequence[str]) -> Restart:

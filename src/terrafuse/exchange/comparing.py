@@ -48,7 +48,7 @@ class Comparing:
             self._changed_ns[robot] = now_ns
         self._holding.changed.clear()
         left = MOST_AT_ONCE
-        for robot in self._holding.known if not self._holding.channel.near else ():
+        for robot in [] if self._holding.channel.near else self._contents.stale:
             if left and self._compared(robot, now_ns):
                 left -= self._contents.find(robot, left)
 

@@ -72,6 +72,11 @@ class Contents:
     def changed(self, robot: str, keys: Iterable[TileKey]) -> None:
         self._stale.setdefault(robot, set()).update(keys)
 
+    @property
+    def stale(self) -> list[str]:
+        """Robots of which some tiles changed since they were last looked at."""
+        return [robot for robot, tiles in self._stale.items() if tiles]
+
     def find(self, robot: str, most: int) -> int:
         """Look at so many tiles of a robot at most that changed since they were last looked at; at how many it did."""
         stale = self._stale.get(robot, set())

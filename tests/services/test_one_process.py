@@ -10,13 +10,19 @@ import pytest
 
 from terrafuse import mapping
 from terrafuse.errors import InputError, StoreMismatch
+from terrafuse.exchange.courier import Channel, Courier
+from terrafuse.exchange.links import MemoryHub
+from terrafuse.lattice import Lattice
+from terrafuse.models import make_model
 from terrafuse.replica import Replica
 from terrafuse.services.carriers import carrier
 from terrafuse.services.node import Node, make_node
 from terrafuse.services.run import run
 from terrafuse.services.service import Message
 from terrafuse.services.settings import FleetSettings
+from terrafuse.store.memory import MemoryStore
 from terrafuse.store.sqlite import SqliteStore
+from terrafuse.testing.deltas import deltas_of, random_scans
 
 
 def settings_of(logs: dict[str, Path], folder: Path, **about: object) -> FleetSettings:
@@ -148,3 +154,26 @@ def test_a_station_keeps_to_its_coarse_map(tmp_path: Path) -> None:
     make_node(before, "station", carrier(before, print)).close()
     with pytest.raises(StoreMismatch, match=r"station\.coarse\.db: is of another map than asked for; delete it"):
         make_node(after, "station", carrier(after, print))
+
+
+def test_a_station_takes_no_ones_report_of_another(logs: dict[str, Path], tmp_path: Path) -> None:
+    """A node that passes on what it says is r1's, as only a station may."""
+    settings = settings_of({"r1": logs["r1"]}, tmp_path)
+    hub = MemoryHub()
+    nodes = [make_node(settings, name, lambda node: lambda: hub.link(node)) for name in ("station", "r1")]
+    forged = MemoryStore(Lattice(0.2, 40.0), model := make_model("elevation"))
+    for delta in deltas_of("r1", random_scans(1, 3), Lattice(0.2, 40.0), model):
+        forged.accept(delta)
+    evil = Courier(hub.link("evil"), [Channel("fine", forged, relay=True)], peers=["station"])
+    station = nodes[0]
+    station.supervisor.start()
+    deadline = time.monotonic() + 20
+    while not station.statuses["map-manager"].counts.get("refused.sender"):
+        assert time.monotonic() < deadline, station.statuses["map-manager"]
+        evil.tick(time.time_ns())
+        time.sleep(0.02)
+    assert station.supervisor.stop(5)
+    for node in nodes:
+        node.close()
+    with SqliteStore.open(tmp_path / "station.db") as store:
+        assert store.robots() == []

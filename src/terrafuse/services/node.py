@@ -9,7 +9,8 @@ from pathlib import Path
 
 from terrafuse.errors import StoreMismatch
 from terrafuse.exchange.courier import Channel, CourierSettings
-from terrafuse.exchange.delta import map_id
+from terrafuse.exchange.delta import Delta, map_id
+from terrafuse.exchange.guard import Guard
 from terrafuse.lattice import Lattice
 from terrafuse.mapping import open_partial, plan, tile_for
 from terrafuse.models import make_model
@@ -79,8 +80,8 @@ def station(settings: FleetSettings, carrier: Carrier) -> Node:
     about = About(store.map.lattice, store.model)
 
     def channels() -> Sequence[Channel]:
-        fine = Channel(FINE, store, relay=True)
-        return [fine] if coarse is None else [Channel(COARSE, coarse, relay=True), fine]
+        fine = Channel(FINE, store, relay=True, guard=_guard(store))
+        return [fine] if coarse is None else [Channel(COARSE, coarse, relay=True, guard=_guard(coarse)), fine]
 
     link = carrier(part.name)
     specs = [
@@ -154,6 +155,14 @@ def _common(
         ),
         Spec(ORCHESTRATION, lambda: Orchestration(contract, supervisor), restarts=ALWAYS),
     ]
+
+
+def _guard(store: Store) -> Callable[[str, Delta, int], str | None]:
+    """What a station lets in: of each node its own robot's reports, of this map, not of the future, within quotas."""
+    guard = Guard(store.map)
+    for name in store.robots():
+        guard.remember(name, store.revisions(name))
+    return guard.check
 
 
 def _pace(bytes_per_s: float | None) -> CourierSettings:

@@ -24,6 +24,9 @@ SEARCH_M = 2.0
 AHEAD_S = 1.0
 """It steers for where it would be then, but for no point nearer or further than these:"""
 MIN_AHEAD_M, MAX_AHEAD_M = 0.5, 2.0
+TURNS = 8 / 3
+"""But never nearer than it comes in so many times the time that it takes to turn at its fastest: it would swerve to and
+fro."""
 TURN_ON_THE_SPOT_RAD = pi / 3
 """It stands still to turn towards a point further aside."""
 TURN_HZ = 2.0
@@ -104,7 +107,8 @@ def pursue(
     here = state.position_m[:, :2]
     end = routes.points_m[routes.starts[1:] - 1]
     left_m = np.maximum((routes.lengths - 1 - at) * STEP_M, np.hypot(*(end - here).T))
-    ahead_m = np.clip(np.abs(state.speed_mps) * AHEAD_S, MIN_AHEAD_M, MAX_AHEAD_M)
+    along_mps, turns_s = np.abs(state.speed_mps), body.max_yaw_rate_radps / body.max_yaw_radps2
+    ahead_m = np.maximum(np.clip(along_mps * AHEAD_S, MIN_AHEAD_M, MAX_AHEAD_M), TURNS * turns_s * along_mps)
     aim = _of_points(routes.points_m, routes, at + np.ceil(ahead_m / STEP_M).astype(np.int64)) - here
     aside_rad = (np.arctan2(aim[:, 1], aim[:, 0]) - state.yaw_rad + pi) % (2 * pi) - pi
     distance_m = np.maximum(np.hypot(*aim.T), 1e-6)

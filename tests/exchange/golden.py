@@ -13,7 +13,7 @@ GOLDEN = {
         # header length
         "01010000"
         # header, msgpack
-        "9ba9656c65766174696f6e0104c0a272310002ce773594009294ff0000019400000002dc001092a16ea33c753492"
+        "9ba9656c65766174696f6e0104c0a272310202ce773594009294ff0000019400000002dc001092a16ea33c753492"
         "a57a5f6d696ea33c693492a57a5f6d6178a33c693492a573715f6869a33c753492a57a5f73756da33c693892a573"
         "715f6c6fa33c753892a57374616d70a33c693892a87265766973696f6ea33c753492a76368616e676573a33c7534"
         "92a66d6572676573a33c753492a867726f756e645f6ea33c753492ac67726f756e645f7a5f6d696ea33c693492ac"
@@ -25,7 +25,7 @@ GOLDEN = {
         "0050f007b6a997e44001fe9436356577c40102fe40c00df203fc00ffb05024dbf01031ce06f98977916e31ce13ec"
         "00ff00ff00ff0e00c06b0d0456420203ce749e30b1439132737c77c351a37079572ce5da10c010"
         # CRC-32 of all before
-        "a99c153b"
+        "482de850"
     ),
     "elevation full": bytes.fromhex(
         # magic
@@ -35,13 +35,13 @@ GOLDEN = {
         # form
         "01"
         # header length
-        "20000000"
+        "1c000000"
         # header, msgpack
-        "9ca9656c65766174696f6e0104c0a272310002ce77359400020302ce3b9aca00"
+        "9ca9656c65766174696f6e0104c0a272310202ce7735940002030209"
         # body
-        "b13c208493e7824bd0afa12321238111f1736380a82260000001812f6282848d476f08"
+        "b13c208493d8559f48de98698826aab456a0fa82d558000001812f6282848d476f08"
         # CRC-32 of all before
-        "97b25673"
+        "77503900"
     ),
     "elevation lean": bytes.fromhex(
         # magic
@@ -51,13 +51,13 @@ GOLDEN = {
         # form
         "02"
         # header length
-        "20000000"
+        "1c000000"
         # header, msgpack
-        "9ca9656c65766174696f6e0104c0a272310002ce77359400020302ce3b9aca00"
+        "9ca9656c65766174696f6e0104c0a272310202ce7735940002030209"
         # body
-        "b13c208493e7824bd0bf8800000d475ee8"
+        "b13c208493d8559f498e1047000d475ee8"
         # CRC-32 of all before
-        "5a9ab52a"
+        "9d4181ad"
     ),
     "grey exact": bytes.fromhex(
         # magic
@@ -69,13 +69,13 @@ GOLDEN = {
         # header length
         "43000000"
         # header, msgpack
-        "9ba4677265790104c0a272310002ce773594009194000000039492a161a33c753292a163a33c753292a872657669"
+        "9ba4677265790104c0a272310202ce773594009194000000039492a161a33c753292a163a33c753292a872657669"
         "73696f6ea33c753492a57374616d70a33c69389136"
         # body
         "28b52ffd203c6d0100240200010300b2720096f356aa00fd020002ff0100ff0000009436ca35659a77c43bff0003"
         "0038b7afcbab0044"
         # CRC-32 of all before
-        "862d4889"
+        "3bc9c1d8"
     ),
     "grey full": bytes.fromhex(
         # magic
@@ -85,13 +85,13 @@ GOLDEN = {
         # form
         "01"
         # header length
-        "1b000000"
+        "17000000"
         # header, msgpack
-        "9ca4677265790104c0a272310002ce77359400010302ce3b9aca00"
+        "9ca4677265790104c0a272310202ce7735940001030209"
         # body
-        "33380525cf9fedff3fe6a5c000f6f6f7112b"
+        "33380525cf9dbe73d851109cf6f6f7112b"
         # CRC-32 of all before
-        "c2dfad37"
+        "1ab93887"
     ),
     "grey lean": bytes.fromhex(
         # magic
@@ -101,13 +101,13 @@ GOLDEN = {
         # form
         "02"
         # header length
-        "1b000000"
+        "17000000"
         # header, msgpack
-        "9ca4677265790104c0a272310002ce77359400010302ce3b9aca00"
+        "9ca4677265790104c0a272310202ce7735940001030209"
         # body
-        "33380525c3b7cf8eea000002aaff"
+        "33380525c2ce3f87ab4b02aaff"
         # CRC-32 of all before
-        "5ecd41c3"
+        "bcee87fa"
     ),
     "occupancy exact": bytes.fromhex(
         # magic
@@ -119,14 +119,14 @@ GOLDEN = {
         # header length
         "56000000"
         # header, msgpack
-        "9ba96f63637570616e63790104c0a272310002ce773594009294ff00000194000000049492a373756da33c693892"
+        "9ba96f63637570616e63790104c0a272310202ce773594009294ff00000194000000049492a373756da33c693892"
         "a57374616d70a33c693892a775706461746573a33c753492a87265766973696f6ea33c753492253b"
         # body
         "28b52ffd201ce1000003000000192100000000000000ca9a3b00000000010000000100000028b52ffd2070950100"
         "0402000104010032f700f042ad003000ff0000000000943600003565000077c402020600c000047755c70ee5fddd"
         "4f06d002"
         # CRC-32 of all before
-        "5e0341a8"
+        "263f708a"
     ),
     "occupancy full": bytes.fromhex(
         # magic
@@ -136,13 +136,13 @@ GOLDEN = {
         # form
         "01"
         # header length
-        "20000000"
+        "1c000000"
         # header, msgpack
-        "9ca96f63637570616e63790104c0a272310002ce77359400020502ce3b9aca00"
+        "9ca96f63637570616e63790104c0a272310202ce7735940002050209"
         # body
-        "b16ea7ed7a33372af6818000008a4108"
+        "b16ea7ed7a3327cb0353ccfa008a4108"
         # CRC-32 of all before
-        "6ba2ef55"
+        "b6f2c40a"
     ),
     "occupancy lean": bytes.fromhex(
         # magic
@@ -152,13 +152,13 @@ GOLDEN = {
         # form
         "02"
         # header length
-        "20000000"
+        "1c000000"
         # header, msgpack
-        "9ca96f63637570616e63790104c0a272310002ce77359400020502ce3b9aca00"
+        "9ca96f63637570616e63790104c0a272310202ce7735940002050209"
         # body
-        "b16ea7ed7a2dd532de43e0000003a078"
+        "b16ea7ed7a2dab6bda9c0a840003a078"
         # CRC-32 of all before
-        "c5cb688e"
+        "a0b390ff"
     ),
     "terrain exact": bytes.fromhex(
         # magic
@@ -170,7 +170,7 @@ GOLDEN = {
         # header length
         "d9000000"
         # header, msgpack
-        "9ba77465727261696e0104c0a272310002ce773594009294ff00000194000000029c92a57374616d70a33c693892"
+        "9ba77465727261696e0104c0a272310202ce773594009294ff00000194000000029c92a57374616d70a33c693892"
         "a6686569676874a33c663892aa6772616469656e745f78a33c663492aa6772616469656e745f79a33c663492ae67"
         "72616469656e745f6572726f72a33c663492aa6f636375706174696f6ea33c663492aa636f6e666964656e6365a3"
         "3c663492a5726976616ca33c663492a87265766973696f6ea33c753492a5666c616773a33c753292ab6770735f71"
@@ -181,7 +181,7 @@ GOLDEN = {
         "008f71c23d0df240bf000af6d72823dc3cc380803fc0a99546e57efc3dff01000bf600ff0000000006002a430c45"
         "2966e0813c0081197003"
         # CRC-32 of all before
-        "b4046ef7"
+        "f689f304"
     ),
     "terrain full": bytes.fromhex(
         # magic
@@ -191,13 +191,13 @@ GOLDEN = {
         # form
         "01"
         # header length
-        "1e000000"
+        "1a000000"
         # header, msgpack
-        "9ca77465727261696e0104c0a272310002ce77359400020301ce3b9aca00"
+        "9ca77465727261696e0104c0a272310202ce7735940002030109"
         # body
-        "b1412d93fec403aef53555252918906ced800000024934ba3f0eef70"
+        "b1412d93fec403ae20b5b54b758ead0d200000024934ba3f0eef70"
         # CRC-32 of all before
-        "18623214"
+        "59db84fd"
     ),
     "terrain lean": bytes.fromhex(
         # magic
@@ -207,12 +207,12 @@ GOLDEN = {
         # form
         "02"
         # header length
-        "1e000000"
+        "1a000000"
         # header, msgpack
-        "9ca77465727261696e0104c0a272310002ce77359400020301ce3b9aca00"
+        "9ca77465727261696e0104c0a272310202ce7735940002030109"
         # body
-        "b1412d93f275dea9b7dc0000010eef70"
+        "b1412d93f275c53f48f70000010eef70"
         # CRC-32 of all before
-        "85b67949"
+        "4e535ccd"
     ),
 }

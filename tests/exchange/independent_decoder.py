@@ -16,8 +16,8 @@ import msgspec
 import numpy as np
 import zstandard
 
-NAMES = ["model", "resolution_m", "tile_m", "crs", "robot", "since", "revision", "stamp_ns"]
-EXACT, ROUNDED = ["tiles", "fields", "sizes"], ["tiles", "cells", "pairs", "unit_ns"]
+NAMES = ["model", "resolution_m", "tile_m", "crs", "robot", "revision", "span", "stamp_ns"]
+EXACT, ROUNDED = ["tiles", "fields", "sizes"], ["tiles", "cells", "pairs", "digits"]
 PLAIN, SIGNED, PREDICTED = "plain", "signed", "predicted"
 COLUMNS: dict[tuple[str, int], list[tuple[str, str, str | None]]] = {
     ("elevation", 2): [("n", PREDICTED, None), ("height", PREDICTED, None), ("drop", PLAIN, None),
@@ -69,7 +69,7 @@ class Body:
         self.bits, self.count = self.bits >> count, self.count - count
         return out
 
-    def symbols(self, count: int) -> list[int]:
+    def symbols(self, count: int, contexts: int = 4) -> list[int]:
         model: dict[Any, list[int]] = {}
         out, before = [], 0
         for _ in range(count):
@@ -77,7 +77,7 @@ class Body:
             while not self.bit(model, (before, kind)):
                 kind += 1
             out.append(kind if kind <= 2 else 2 ** (kind - 2) + 1 + self.plain(kind - 2))
-            before = min(kind, 3)
+            before = min(kind, contexts - 1)
         return out
 
 
@@ -95,7 +95,7 @@ def expected(at: dict[Any, int], x: int, j: int, i: int, last: int) -> int:
 def column(body: Body, kind: str, chosen: list[int], places: list[tuple[int, int, int]]) -> list[int]:
     numbers, known = [0] * len(places), {}
     (alike,) = body.symbols(1)
-    symbols = [] if alike else body.symbols(len(chosen))
+    symbols = [] if alike else body.symbols(len(chosen), 4 if kind == PLAIN else 1)
     following, last, picked = iter(symbols), 0, set(chosen)
     for k, place in enumerate(places):
         if k in picked:
@@ -148,7 +148,7 @@ def rounded(header: dict[str, Any], form: int, data: bytes) -> dict[tuple[int, i
     assert (body.front, body.bits) == (body.back, 0)
     tiles: dict[tuple[int, int], list[Any]] = {}
     for k, seen in enumerate(columns.pop("seen")):
-        stamp_ns = header["stamp_ns"] - unfold(highs[seen] << 32 | lows[seen]) * header["unit_ns"]
+        stamp_ns = header["stamp_ns"] - unfold(highs[seen] << 32 | lows[seen]) * 10 ** header["digits"]
         revision = header["revision"] - backs[seen]
         numbers = {name: values[k] for name, values in columns.items()}
         tiles.setdefault((x[tile_of[k]], y[tile_of[k]]), []).append((at[k], stamp_ns, revision, numbers))

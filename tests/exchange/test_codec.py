@@ -137,8 +137,8 @@ def sealed(name: str, body: bytes | None = None, **changes: object) -> bytes:
     return whole + struct.pack("<I", zlib.crc32(whole))
 
 
-COMMON = ["model", "resolution_m", "tile_m", "crs", "robot", "since", "revision", "stamp_ns"]
-EXACTLY, ROUNDED = ["tiles", "fields", "sizes"], ["tiles", "cells", "pairs", "unit_ns"]
+COMMON = ["model", "resolution_m", "tile_m", "crs", "robot", "revision", "span", "stamp_ns"]
+EXACTLY, ROUNDED = ["tiles", "fields", "sizes"], ["tiles", "cells", "pairs", "digits"]
 FRAMES = dict(parts(EXACT))["body"]
 FIRST = msgspec.msgpack.decode(dict(parts(EXACT))["header, msgpack"])[-1][0]
 SIZES = [FIRST, len(FRAMES) - FIRST]
@@ -152,9 +152,10 @@ BOTH = [
     ({"robot": "x" * 201}, "name"),
     ({"robot": 7}, "can't be read"),
     ({"surprise": 1}, "can't be read"),
-    ({"since": 5, "revision": 2}, "impossible revisions"),
+    ({"span": -1}, "impossible revisions"),
+    ({"span": 3}, "impossible revisions"),
     ({"revision": 2**40}, "impossible revisions"),
-    ({"revision": 1}, "newer than the delta"),
+    ({"revision": 1, "span": 0}, "newer than the delta"),
 ]
 
 
@@ -188,7 +189,9 @@ def test_lies_with_a_right_checksum_are_rejected(changes: dict[str, object], rea
     [
         *BOTH,
         ({"stamp_ns": -(10**10)}, "before 1970"),
-        ({"unit_ns": -(2**63)}, "beyond 63 bits"),
+        ({"stamp_ns": 2**63}, "beyond 63 bits"),
+        ({"digits": 10}, r"10\^10 ns"),
+        ({"digits": -1}, r"10\^-1 ns"),
         ({"model": "mine"}, "form 'lean', which"),
         ({"model": "grey"}, "fields|does not hold"),
         ({"tiles": 0, "cells": 0}, "can't hold 0"),

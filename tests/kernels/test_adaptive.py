@@ -106,7 +106,7 @@ def test_counts_that_are_not_the_cells_are_none() -> None:
         symbols = np.concatenate([np.zeros(4, np.int64), np.array(counts) - 1, np.zeros(3 + 4, np.int64)])
         lengths = np.array([2, 2, 2, 3, 1, 1, 1, 1])
         out = np.empty(1000, np.uint8)
-        used = adaptive.write(symbols, lengths, out)
+        used = adaptive.write(symbols, lengths, np.full(8, 4), out)
         assert unpacked(out[:used].tobytes(), 2, 3) is None
 
 
@@ -126,7 +126,7 @@ def test_few_symbols_by_hand() -> None:
     What is sent is low: 5F FF 40 00.
     """
     out = np.empty(100, np.uint8)
-    used = adaptive.write(np.array([0, 1]), np.array([2]), out)
+    used = adaptive.write(np.array([0, 1]), np.array([2]), np.array([4]), out)
     assert out[:used].tobytes().hex() == "5fff4000"
 
 

@@ -39,6 +39,7 @@ START = struct.Struct("<3sBBI")
 """Magic, version, form, length of the header."""
 TABLE_ROWS, LOW = 3, 2**32 - 1
 """Of stamps and revisions: by how many revisions it is older than the delta, and its age in units, in two words."""
+MOST_DIGITS = 9
 FORMS = {code: name for name, code in CODES.items()}
 
 
@@ -55,9 +56,14 @@ class _Header(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
     tile_m: float
     crs: str | None
     robot: str
-    since: int
     revision: int
+    span: int
+    """How far back `since` lies: most often little."""
     stamp_ns: int
+
+    @property
+    def since(self) -> int:
+        return self.revision - self.span
 
 
 class _Exact(_Header):
@@ -78,8 +84,8 @@ class _Rounded(_Header):
     cells: int
     pairs: int
     """Distinct stamps and revisions of cells."""
-    unit_ns: int
-    """Of which the stamps are so many away from `stamp_ns`."""
+    digits: int
+    """Stamps are a whole number of 10^digits ns away from `stamp_ns`."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -179,8 +185,8 @@ def _common(delta: Delta) -> dict[str, Any]:
         "tile_m": _short(delta.map.tile_m),
         "crs": delta.map.crs,
         "robot": delta.robot,
-        "since": delta.since,
         "revision": delta.revision,
+        "span": delta.revision - delta.since,
         "stamp_ns": delta.stamp_ns,
     }
 
@@ -279,9 +285,9 @@ def _encode_rounded(delta: Delta, name: str, profile: Profile) -> bytes | None:
         return None
     stamps, revisions, seen = _pairs(cells)
     ages = [delta.stamp_ns - stamp for stamp in stamps]
-    counts, unit_ns = [len(tile.at) for tile in delta.tiles], gcd(*ages) or 1
-    header = _Rounded(**_common(delta), tiles=len(counts), cells=sum(counts), pairs=len(ages), unit_ns=unit_ns)
-    folded = [_folded(age // unit_ns) for age in ages]
+    counts, digits = [len(tile.at) for tile in delta.tiles], _digits(gcd(*ages))
+    header = _Rounded(**_common(delta), tiles=len(counts), cells=sum(counts), pairs=len(ages), digits=digits)
+    folded = [_folded(age // 10**digits) for age in ages]
     whole = adaptive.Unpacked(
         np.array([(tile.key.x, tile.key.y) for tile in delta.tiles], np.int64),
         np.cumsum([0, *counts]),
@@ -290,6 +296,11 @@ def _encode_rounded(delta: Delta, name: str, profile: Profile) -> bytes | None:
         np.vstack([seen, numbers]),
     )
     return _sealed(name, header, [adaptive.packed(whole, delta.map.lattice.tile_cells, profile.plan)])
+
+
+def _digits(number: int) -> int:
+    """How many zeros it ends in."""
+    return next(digits for digits in reversed(range(MOST_DIGITS + 1)) if number % 10**digits == 0)
 
 
 def _folded(number: int) -> int:
@@ -339,9 +350,11 @@ def _rounded_tiles(
 
 def _table(header: _Rounded, table: Array) -> tuple[Array, Array]:
     """Stamps and revisions of cells, by their numbers."""
+    if not 0 <= header.digits <= MOST_DIGITS:
+        raise CodecError(f"stamps in 10^{header.digits} ns")
     backs, lows, highs = table.tolist()
     ages = (_unfolded(high << 32 | low) for low, high in zip(lows, highs, strict=True))
-    stamps = [header.stamp_ns - age * header.unit_ns for age in ages]
+    stamps = [header.stamp_ns - age * 10**header.digits for age in ages]
     if min(stamps) < 0 or max(stamps) >= 2**63 or max(lows) > LOW:
         raise CodecError("cells from before 1970, or from times beyond 63 bits")
     if header.revision > MAX_REVISION:

@@ -24,7 +24,8 @@ MOST_CLASS = 48
 """So that numbers stay below 2⁴⁷, and sums of a few within 63 bits."""
 CLASSES = MOST_CLASS + 1
 CONTEXTS = 4
-"""A class is learnt apart by the class of the symbol before it in the column: 0, 1, 2, or more."""
+"""A class is learnt apart by the class of the symbol before it in the column: 0, 1, 2, or more; but not in columns of
+differences, where that tells little and must be learnt four times."""
 ONE, HALF = 1 << 16, 1 << 15
 """Probabilities in 1/65536."""
 STEADY = 62
@@ -143,9 +144,9 @@ def _shift(low, out, front, held, pending, begun):
 
 
 @njit(cache=True, nogil=True)
-def write(symbols, counts, out):
-    """Columns of symbols, counts[c] each, one after the other → how many bytes of `out` they take; 0 if it is too
-    small."""
+def write(symbols, counts, contexts, out):
+    """Columns of symbols, counts[c] each, one after the other, learnt in contexts[c] → how many bytes of `out` they
+    take; 0 if it is too small."""
     chance, seen = np.empty(CONTEXTS * CLASSES, np.int64), np.empty(CONTEXTS * CLASSES, np.int64)
     low, range_, held, pending, begun = 0, FULL_RANGE, 0, 0, False
     front, back, plain, plain_bits, first = 0, out.shape[0], 0, 0, 0
@@ -182,7 +183,7 @@ def write(symbols, counts, out):
                     out[back] = plain & 255
                     plain >>= 8
                     plain_bits -= 8
-            before = min(own, CONTEXTS - 1)
+            before = min(own, contexts[c] - 1)
         first += counts[c]
     for _ in range(5):
         front, held, pending, begun = _shift(low, out, front, held, pending, begun)
@@ -210,7 +211,7 @@ def _begin(data):
 
 
 @njit(cache=True, nogil=True)
-def _symbols(data, at, symbols):
+def _symbols(data, at, contexts, symbols):
     """The next column, (N,); False where the bytes end before.
 
     A whole column in one function, and what it counts with in locals: a function for a symbol takes ten times as long.
@@ -253,7 +254,7 @@ def _symbols(data, at, symbols):
             plain >>= bits
             plain_count -= bits
         symbols[k] = symbol
-        first = CLASSES * min(own, CONTEXTS - 1)
+        first = CLASSES * min(own, contexts - 1)
     at[0], at[1], at[2], at[3], at[4], at[5] = code, range_, front, back, plain, plain_count
     return True
 
@@ -265,7 +266,7 @@ def _tiles(data, at, cells, keys, starts):
     tiles = keys.shape[0]
     symbols = np.empty(tiles, np.int64)
     for c in range(2):
-        if not _symbols(data, at, symbols):
+        if not _symbols(data, at, CONTEXTS, symbols):
             return False
         value = np.int64(0)
         for t in range(tiles):
@@ -273,7 +274,7 @@ def _tiles(data, at, cells, keys, starts):
             if abs(value) > MOST:
                 return False
             keys[t, c] = value
-    if not _symbols(data, at, symbols):
+    if not _symbols(data, at, CONTEXTS, symbols):
         return False
     starts[0] = 0
     for t in range(tiles):
@@ -320,7 +321,7 @@ def _numbers(kind, symbols, other, west, north, lowest, highest, numbers):
 def _column(data, at, kind, other, west, north, lowest, highest, symbols, numbers):
     """The next column's numbers, likewise; False where it has none."""
     every, alike = other.shape[0] == 0, np.empty(1, np.int64)
-    if not _symbols(data, at, alike):
+    if not _symbols(data, at, CONTEXTS, alike):
         return False
     if alike[0] > 0:
         number = unfold(alike[0] - 1)
@@ -328,7 +329,8 @@ def _column(data, at, kind, other, west, north, lowest, highest, symbols, number
             numbers[k] = number if every or other[k] != 0 else 0
         return lowest <= number <= highest
     own = symbols if every else symbols[: np.count_nonzero(other)]
-    return _symbols(data, at, own) and _numbers(kind, own, other, west, north, lowest, highest, numbers)
+    contexts = CONTEXTS if kind == PLAIN else 1
+    return _symbols(data, at, contexts, own) and _numbers(kind, own, other, west, north, lowest, highest, numbers)
 
 
 @njit(cache=True, nogil=True)
@@ -345,10 +347,10 @@ def read(data, side, kinds, where, lowest, highest, keys, starts, table, places,
     if not _tiles(data, at, cells, keys, starts):
         return False
     for row in range(table.shape[0]):
-        if not _symbols(data, at, table[row]):
+        if not _symbols(data, at, CONTEXTS, table[row]):
             return False
     symbols = np.empty(cells, np.int64)
-    if not _symbols(data, at, symbols) or not _places(symbols, starts, np.int64(side) * side, places):
+    if not _symbols(data, at, CONTEXTS, symbols) or not _places(symbols, starts, np.int64(side) * side, places):
         return False
     west, north = np.empty(cells, np.int64), np.empty(cells, np.int64)
     neighbours(keys, starts, places, side, west, north)
@@ -394,8 +396,10 @@ def packed(whole: Unpacked, side: int, plan: Plan) -> bytes:
         columns.append(1 + _folded(chosen[:1] if len(chosen) else np.zeros(1, np.int64)) if alike else NONE_ALIKE)
         columns.append(column[:0] if alike else column[column >= 0])
     every, counts = np.concatenate(columns), np.array([len(column) for column in columns])
+    contexts = np.full(len(columns), CONTEXTS)
+    contexts[len(columns) - 2 * len(numbers) + 1 :: 2][plan.kinds != PLAIN] = 1
     room = 64 + len(every)
-    while not (used := write(every, counts, out := np.empty(room, np.uint8))):
+    while not (used := write(every, counts, contexts, out := np.empty(room, np.uint8))):
         room *= 4
     return out[:used].tobytes()
 
@@ -457,7 +461,7 @@ class ReaderReference:
         self.plain_bits -= count
         return bits
 
-    def column(self, count: int) -> list[int]:
+    def column(self, count: int, contexts: int = CONTEXTS) -> list[int]:
         """The next `count` symbols, all of one column."""
         model: dict[tuple[int, int], tuple[int, int]] = {}
         out, before = [], 0
@@ -467,7 +471,7 @@ class ReaderReference:
                 own += 1
             bits = max(own - DIRECT, 0)
             out.append(own if own <= DIRECT else (1 << bits) + self.lower(bits) + 1)
-            before = min(own, CONTEXTS - 1)
+            before = min(own, contexts - 1)
         return out
 
 
@@ -504,7 +508,8 @@ def read_reference(data: bytes, tiles: int, cells: int, table: tuple[int, int], 
                 column[k] = unfold_reference(alike - 1)
             columns.append(column)
             continue
-        symbols = dict(zip(chosen, reader.column(len(chosen)), strict=True))
+        contexts = CONTEXTS if kind == PLAIN else 1
+        symbols = dict(zip(chosen, reader.column(len(chosen), contexts), strict=True))
         found: dict[tuple[int, int, int], int] = {}
         column = []
         for k in range(cells):

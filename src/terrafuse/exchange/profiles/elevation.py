@@ -31,7 +31,7 @@ TALL = 40_000
 """mm²; with less variance a cell is not vertical, unless the model's threshold is lower than this."""
 MOST_STEPS = (2**31 - 1) // STEP
 MOST_COUNT = 2**32 - 1
-FULL_BITS, LEAN_BITS, VARIANCE_BITS, DROP_BITS = 3, 0, 3, 1
+FULL_BITS, LEAN_BITS, VARIANCE_BITS, DROP_BITS = 3, 0, 3, 0
 MOST_VARIANCE = 1 << 48
 """mm²; no heights within 31 bits of ticks have more."""
 

@@ -24,7 +24,7 @@ from terrafuse.types import Array
 
 HEIGHT_M = 0.01
 GRADIENT = 0.01
-FULL_OCCUPATIONS, LEAN_OCCUPATIONS = 100, 8
+FULL_OCCUPATIONS, LEAN_OCCUPATIONS = 100, 4
 """Steps of the occupation from 0 to 1."""
 CONFIDENCES, ERRORS = 1 << 12, 1 << 16
 """Confidences and standard errors are counted in 1/4096 and in 1/65536 before they are rounded to levels."""

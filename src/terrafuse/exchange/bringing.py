@@ -10,7 +10,7 @@ from math import isinf
 from terrafuse.exchange.codec import encode
 from terrafuse.exchange.delta import Delta
 from terrafuse.exchange.holding import Holding
-from terrafuse.exchange.known import Claim, Known
+from terrafuse.exchange.known import Claim, Known, lacking
 from terrafuse.exchange.outbox import Outbox, Outgoing
 from terrafuse.exchange.pace import SECOND_NS, CourierSettings
 from terrafuse.exchange.parts import oldest
@@ -68,10 +68,24 @@ class Bringer:
             for peer, known in self._peers:
                 known.arrived()
                 self._repair(peer, known)
-        if reporting:
+        if reporting and not self._holding.channel.near:
             self._reports += 1
             for robot in self._holding.told:
                 self._level(robot)
+
+    def behind(self, peer: Peer | None) -> dict[str, int]:
+        """By robot, how many tiles a peer lacks something of that this node would send it."""
+        known = None if peer is None else peer.channels.get(self._holding.channel.name)
+        lacks = {
+            robot: list(lacking((known or PeerChannel()).of(robot), ours, self._holding.tiles.get(robot, {}).items()))
+            for robot, ours in self._holding.told.items()
+        }
+        if self._holding.channel.near:
+            lacks = {
+                robot: [key for key in keys if peer and self._wants.interest(peer, key)]
+                for robot, keys in lacks.items()
+            }
+        return {robot: len(keys) for robot, keys in lacks.items() if keys}
 
     def refill(self) -> bool:
         """Put the next message into the outbox; False: there is none."""

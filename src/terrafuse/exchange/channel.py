@@ -7,13 +7,14 @@ channels in the order in which it was given them.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from terrafuse.errors import InputError
 from terrafuse.exchange.delta import Delta
 from terrafuse.exchange.own import Source
 from terrafuse.store.base import Store
+from terrafuse.types import TileKey
 
 Guard = Callable[[str, Delta, int], str | None]
 """`guard(sender, delta, now_ns)`: why a delta that this node sent is refused, in a word; None: it may come in."""
@@ -23,6 +24,10 @@ NAME = re.compile(r"[a-z][a-z0-9_-]{0,31}")
 
 def as_it_is(delta: Delta) -> Delta:
     return delta
+
+
+def unheard(robot: str, keys: Sequence[TileKey]) -> None:
+    pass
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,8 @@ class Channel:
     """Asked before a delta comes into the store; what it refuses is counted by its reason."""
     screen: Callable[[str, bytes], str | None] | None = None
     """`screen(sender, message)`: asked likewise, before the delta's bytes are unpacked."""
+    on_change: Callable[[str, Sequence[TileKey]], None] = unheard
+    """`on_change(robot, keys)`: these tiles of a robot's contribution changed in the store."""
     project: Callable[[Delta], Delta] = as_it_is
     """What becomes of this node's own contribution where it is reported: quantising, say. It must change nothing more
     when it is done again."""

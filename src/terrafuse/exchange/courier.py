@@ -27,6 +27,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 
 from terrafuse.errors import CodecError, InputError
+from terrafuse.exchange.asking import Answerer, Question
 from terrafuse.exchange.bringing import Bringer, in_topic
 from terrafuse.exchange.budget import Budget
 from terrafuse.exchange.channel import Channel
@@ -35,7 +36,7 @@ from terrafuse.exchange.contents import decode_digests
 from terrafuse.exchange.framing import Limits, Reassembler
 from terrafuse.exchange.herald import Herald
 from terrafuse.exchange.holding import Holding
-from terrafuse.exchange.known import Known, lacking
+from terrafuse.exchange.known import Known
 from terrafuse.exchange.links import Frame, Link
 from terrafuse.exchange.lives import Lives
 from terrafuse.exchange.outbox import Outbox
@@ -43,7 +44,7 @@ from terrafuse.exchange.own import Source
 from terrafuse.exchange.pace import SECOND_NS, CourierSettings
 from terrafuse.exchange.peer import Peer, PeerChannel
 from terrafuse.exchange.piece import decode_piece
-from terrafuse.exchange.postbox import OnMessage, Postbox
+from terrafuse.exchange.postbox import OnAnswer, OnCorrection, OnMessage, Postbox
 from terrafuse.exchange.summary import OtherVersion, Summary, unpack
 from terrafuse.types import Bounds, TileKey
 
@@ -63,7 +64,10 @@ class Courier:
     `channels`: the maps that it exchanges, the most urgent first; all under one budget.
     `peers`: with whom it exchanges; None: with everyone whom it hears.
     `on_message(sender, kind, payload)` is called, within `tick`, for each message that was posted to this node; one
-    that is older than the last of its sender and kind never comes.
+    that is older than the last of its sender and kind never comes. `on_correction(sender, corrections)` likewise, for
+    all the corrections of its poses that hold (`exchange.corrections`).
+    `answerer(peer, question)` answers what peers ask, `on_answer(peer, number, answer)` is called with what they answer
+    (`exchange.asking`).
 
     `counts`: messages_sent, frames_sent and bytes_sent by kind (`bytes_sent.delta`, `.summary`, `.post`),
     messages_received by kind, deltas_applied, deltas_known (of which nothing was new), and what was refused by reason
@@ -79,6 +83,9 @@ class Courier:
         *,
         peers: Collection[str] | None = None,
         on_message: OnMessage | None = None,
+        on_correction: OnCorrection | None = None,
+        on_answer: OnAnswer | None = None,
+        answerer: Answerer | None = None,
         settings: CourierSettings | None = None,
         limits: Limits | None = None,
     ) -> None:
@@ -93,7 +100,9 @@ class Courier:
         self._reassembler = Reassembler(limits, self.counts)
         budget = Budget(self.settings.bytes_per_s, self.settings.overhead_bytes)
         self._outbox = Outbox(link, budget, [channel.name for channel in channels], self.counts)
-        self._posts = Postbox(link.node, self._outbox, self.settings, on_message)
+        self._posts = Postbox(link.node, self._outbox, self.settings)
+        self._posts.on_message, self._posts.on_correction = on_message, on_correction
+        self._posts.on_answer, self._posts.answerer = on_answer, answerer
         self._holdings = {channel.name: Holding(channel, self.counts) for channel in channels}
         replicas = {name: holding for name, holding in self._holdings.items() if holding.store is not None}
         self._comparing = {name: Comparing(holding, self.settings) for name, holding in replicas.items()}
@@ -149,9 +158,7 @@ class Courier:
         Sent with the next `tick` once the peer was heard, and until it is acknowledged; again to a peer that was
         started afresh. Raises InputError for over 64 KiB, or a peer that is none of this node's.
         """
-        if (known := self._peer(peer)) is None:
-            raise InputError(f"'{peer}' is no peer of '{self.node}': it has no place for more, or others only")
-        self._posts.put(known, kind, payload)
+        self._posts.put(self._known(peer), kind, payload)
 
     def reached(self, now_ns: int) -> list[str]:
         """Peers of whom something was heard within `silent_s`, sorted."""
@@ -163,17 +170,27 @@ class Courier:
 
         Empty: it is level. Of a channel that the peer never spoke of, all is lacking.
         """
-        lacks = {name: self._lacks(peer, holding) for name, holding in self._holdings.items()}
+        lacks = {name: bringer.behind(self._peers.get(peer)) for name, bringer in self._bringers.items()}
         return {name: some for name, some in lacks.items() if some}
 
-    def _lacks(self, peer: str, holding: Holding) -> dict[str, int]:
-        known = self._peers[peer].channels.get(holding.channel.name) if peer in self._peers else None
-        told = {robot: (ours, (known or PeerChannel()).of(robot)) for robot, ours in holding.told.items()}
-        some = {
-            robot: len(list(lacking(theirs, ours, holding.tiles.get(robot, {}).items())))
-            for robot, (ours, theirs) in told.items()
-        }
-        return {robot: tiles for robot, tiles in some.items() if tiles}
+    @property
+    def area(self) -> Bounds | None:
+        """Of interest to this node: what it is told of the global map. None: nothing."""
+        return self._herald.area
+
+    @area.setter
+    def area(self, area: Bounds | None) -> None:
+        self._herald.area = area
+
+    @property
+    def areas(self) -> list[Bounds]:
+        """Of interest to peers that can be reached."""
+        peers = (self._peers[name] for name in self.reached(self._now_ns))
+        return [peer.area for peer in peers if peer.area is not None]
+
+    def ask(self, peer: str, question: Question) -> int:
+        """Ask a peer; `on_answer` is called with the number that this gives. Raises InputError as `post` does."""
+        return self._posts.ask(self._known(peer), question)
 
     # --- what comes ---------------------------------------------------------------------------------------------------
 
@@ -211,7 +228,7 @@ class Courier:
                 if not holding.apply(sender, decode_piece(message), self._now_ns):
                     self._reassembler.forget(sender, id_)
             elif kind == "post":
-                self._posts.deliver(sender, message)
+                self._posts.deliver(self._peer(sender), sender, message)
         except OtherVersion as error:
             self.counts["refused.version"] += 1
             if len(self.strangers) < MOST_PEERS:
@@ -250,6 +267,11 @@ class Courier:
             if self.node in said:
                 self._recover(peer, channel)
         return sender
+
+    def _known(self, name: str) -> Peer:
+        if (known := self._peer(name)) is None:
+            raise InputError(f"'{name}' is no peer of '{self.node}': it has no place for more, or others only")
+        return known
 
     def _peer(self, name: str) -> Peer | None:
         if name not in self._peers and (self._only is None or name in self._only) and len(self._peers) < MOST_PEERS:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import cycle, islice
 from math import inf
+from typing import TypeVar
 
 from terrafuse.exchange.comparing import Comparing
 from terrafuse.exchange.framing import HEADER_BYTES, Reassembler
@@ -21,6 +22,9 @@ MOST_AHEAD = 64
 """Tiles of a robot that are ahead, in a whole summary; what came since the last one is said all."""
 MOST_UNSAID = 64
 """Unfinished messages told of in one summary."""
+
+
+T = TypeVar("T")
 
 
 class Herald:
@@ -40,7 +44,7 @@ class Herald:
         self._whole = False
         """Whether a whole summary is due."""
         self._next: dict[str, int] = {}
-        """By channel, where the next whole summary goes on that can't say of all robots at once."""
+        """Where the next whole summary goes on that can't say all at once: by channel, of robots; of their tiles."""
 
     def say(self, now_ns: int, born_ns: int, whole: bool, finished: Callable[[], list[bytes]], posts: bool) -> None:
         """All that is held, with `whole`; else what is new, if anything is; as soon as it is time. `posts`: arrived."""
@@ -75,15 +79,19 @@ class Herald:
         holding = self._holdings[channel]
         if not whole:
             return list(holding.unsaid)
-        count = self._entries(len(holding.known))
-        start = self._next.get(channel, 0) % max(len(holding.known), 1)
-        self._next[channel] = start + count
-        return list(dict.fromkeys([*holding.unsaid, *islice(cycle(list(holding.known)), start, start + count)]))
+        return list(dict.fromkeys([*holding.unsaid, *self._turn(channel, list(holding.known), len(holding.known))]))
+
+    def _turn(self, what: str, entries: Sequence[T], most: int) -> list[T]:
+        """As many as there is room for, and the next time those that follow."""
+        count = min(self._entries(most), len(entries))
+        start = self._next.get(what, 0) % max(len(entries), 1)
+        self._next[what] = start + count
+        return list(islice(cycle(entries), start, start + count))
 
     def _ahead(self, channel: str, robot: str, whole: bool) -> list[tuple[int, int, int]]:
         holding = self._holdings[channel]
         known, new = holding.of(robot), holding.unsaid.get(robot, set())
         keys = [key for key in known.ahead if key in new]
         if whole:
-            keys += [key for key in known.ahead if key not in new][: self._entries(MOST_AHEAD)]
+            keys += self._turn(f"{channel}/{robot}", [key for key in known.ahead if key not in new], MOST_AHEAD)
         return [(key.x, key.y, known.ahead[key]) for key in keys]

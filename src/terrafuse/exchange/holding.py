@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 
 from terrafuse.errors import CodecError, DeltaError
@@ -32,6 +32,8 @@ class Holding:
         """Robots of which more is held since the last summary, and tiles that are ahead."""
         self.changed: dict[str, set[TileKey]] = {}
         """Tiles that changed, until who compares contents takes note."""
+        self.tile_m = 0.0 if self.store is None else self.store.map.tile_m
+        """Of the channel's lattice, as soon as anything of it is there."""
         self._claims: dict[str, Claim] = {}
         """That can't be followed yet."""
         self._counts = counts
@@ -50,6 +52,7 @@ class Holding:
         if self.own.revision <= known.base:
             return
         delta = self.projected(known.base)
+        self.tile_m = delta.map.tile_m
         if self.store is not None:
             self.store.accept(delta)
         self._note(delta.robot, delta.tiles)
@@ -165,12 +168,14 @@ class Holding:
         claim = self._claims.get(robot)
         return claim if claim is not None and claim.until > ahead.base and ahead.follows(claim) else None
 
-    def _note(self, robot: str, tiles: Iterable[TileCells]) -> None:
+    def _note(self, robot: str, tiles: Collection[TileCells]) -> None:
         known = self.tiles.setdefault(robot, {})
         for tile in tiles:
             known[tile.key] = max(known.get(tile.key, 0), int(tile.cells["revision"].max()))
-            if self.store is not None:
-                self.changed.setdefault(robot, set()).add(tile.key)
+        if self.store is not None and tiles:
+            keys = [tile.key for tile in tiles]
+            self.changed.setdefault(robot, set()).update(keys)
+            self.channel.on_change(robot, keys)
 
     def _held(self, robot: str, keys: Iterable[TileKey]) -> Delta:
         assert self.store is not None

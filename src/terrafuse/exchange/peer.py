@@ -8,6 +8,9 @@ from terrafuse.exchange.known import Known
 from terrafuse.exchange.outbox import Outgoing
 from terrafuse.types import Bounds, TileKey
 
+ANSWER = "answer/"
+"""What kinds of posts begin with that answer a question."""
+
 
 @dataclass
 class Flight:
@@ -80,6 +83,8 @@ class Peer:
     def reborn(self, born_ns: int) -> None:
         self.born_ns, self.said_ns = born_ns, -1
         self.channels, self.missing = {}, {}
+        # It asked in its former life.
+        self.posts = {kind: post for kind, post in self.posts.items() if not kind.startswith(ANSWER)}
         for post in self.posts.values():
             post.flight, post.arrived = None, False
 

@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+
+import msgspec
 
 from terrafuse.errors import InputError
-from terrafuse.exchange.outbox import POST, Outbox
+from terrafuse.exchange.asking import (
+    ASK,
+    SLOTS,
+    Answer,
+    Answerer,
+    Question,
+    answered,
+    decode_answer,
+    decode_question,
+    encode_message,
+)
+from terrafuse.exchange.corrections import CORRECTION, Correction, decode_corrections
+from terrafuse.exchange.outbox import POST, REPLY, Outbox
 from terrafuse.exchange.pace import SECOND_NS, CourierSettings
-from terrafuse.exchange.peer import Flight, Peer, Posted, parts_of
+from terrafuse.exchange.peer import ANSWER, Flight, Peer, Posted, parts_of
 from terrafuse.exchange.posts import MOST_PAYLOAD, Inbox, Post, decode_post, encode_post
 
 MOST_UNSAID = 256
@@ -15,20 +29,37 @@ MOST_UNSAID = 256
 
 OnMessage = Callable[[str, str, bytes], None]
 """`on_message(sender, kind, payload)`."""
+OnCorrection = Callable[[str, Sequence[Correction]], None]
+OnAnswer = Callable[[str, int, Answer], None]
 
 
 class Postbox:
-    def __init__(self, node: str, outbox: Outbox, settings: CourierSettings, on_message: OnMessage | None) -> None:
-        self._node, self._outbox, self._settings, self._on_message = node, outbox, settings, on_message
+    def __init__(self, node: str, outbox: Outbox, settings: CourierSettings) -> None:
+        self.on_message: OnMessage | None = None
+        self.on_correction: OnCorrection | None = None
+        self.on_answer: OnAnswer | None = None
+        self.answerer: Answerer | None = None
+        self._node, self._outbox, self._settings = node, outbox, settings
         self._inbox = Inbox()
         self._finished: dict[bytes, None] = {}
         """Posts that arrived since the last summary."""
-        self._posted = 0
+        self._posted = self._asked = 0
 
     def put(self, peer: Peer, kind: str, payload: bytes) -> None:
         """In place of anything older of this kind. Raises InputError for over 64 KiB."""
         if len(payload) > MOST_PAYLOAD:
             raise InputError(f"a post '{kind}' of {len(payload)} bytes to '{peer.name}': the most is {MOST_PAYLOAD}")
+        self._put(peer, kind, payload)
+
+    def ask(self, peer: Peer, question: Question) -> int:
+        """The number of the question."""
+        self._asked += 1
+        self._put(
+            peer, f"{ASK}{self._asked % SLOTS}", encode_message(msgspec.structs.replace(question, number=self._asked))
+        )
+        return self._asked
+
+    def _put(self, peer: Peer, kind: str, payload: bytes) -> None:
         self._posted += 1
         peer.posts[kind] = Posted(self._posted, payload)
 
@@ -41,9 +72,9 @@ class Postbox:
                 content = encode_post(Post(born_ns, post.number, kind, post.payload))
                 message = self._outbox.message(f"post/{peer.name}/{self._node}", content)
                 post.flight = Flight(message, self._settings.retry_s * SECOND_NS)
-                self._outbox.put(message, POST)
+                self._outbox.put(message, lane_of(kind))
             elif post.flight.in_vain(peer):
-                self._outbox.put(post.flight.message, POST, parts_of(post.flight.message, peer))
+                self._outbox.put(post.flight.message, lane_of(kind), parts_of(post.flight.message, peer))
                 post.flight.patience_ns = self._settings.longer(post.flight.patience_ns)
 
     def acknowledge(self, id_: bytes) -> None:
@@ -55,11 +86,27 @@ class Postbox:
         """Whatever this sender posts from now on is new: its clock may be another one."""
         self._inbox.forget(sender)
 
-    def deliver(self, sender: str, message: bytes) -> None:
-        """Raises CodecError for bytes that are no post."""
+    def deliver(self, peer: Peer | None, sender: str, message: bytes) -> None:
+        """Raises CodecError for bytes that are no post, or not what its kind says."""
         post = decode_post(message)
-        if self._inbox.is_new(sender, post) and self._on_message is not None:
-            self._on_message(sender, post.kind, post.payload)
+        if not self._inbox.is_new(sender, post):
+            return
+        if post.kind.startswith(ASK):
+            self._answer(peer, post)
+        elif post.kind.startswith(ANSWER):
+            answer = decode_answer(post.payload)
+            if self.on_answer is not None:
+                self.on_answer(sender, answer.number, answer)
+        elif post.kind == CORRECTION and self.on_correction is not None:
+            self.on_correction(sender, decode_corrections(post.payload))
+        elif self.on_message is not None:
+            self.on_message(sender, post.kind, post.payload)
+
+    def _answer(self, peer: Peer | None, post: Post) -> None:
+        question, slot = decode_question(post.payload), post.kind.removeprefix(ASK)
+        if peer is not None and slot.isdecimal() and int(slot) < SLOTS:
+            answer = answered(self.answerer, peer.name, question)
+            self._put(peer, f"{ANSWER}{slot}", encode_message(answer))
 
     @property
     def unsaid(self) -> bool:
@@ -71,3 +118,8 @@ class Postbox:
         ids = list(self._finished)
         self._finished.clear()
         return ids
+
+
+def lane_of(kind: str) -> str:
+    """Answers are long, and wait for the map."""
+    return REPLY if kind.startswith(ANSWER) else POST

@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from terrafuse.exchange.area import meets
 from terrafuse.exchange.holding import Holding
 from terrafuse.exchange.known import Known, lacking
 from terrafuse.exchange.peer import Peer, PeerChannel
-from terrafuse.types import Bounds, TileKey
+from terrafuse.types import TileKey
 
 AGE_NS = 30e9
 
@@ -34,7 +35,6 @@ class Wants:
         self._settle_ns = settle_ns
         """What others report is passed on only when so long somebody lacked it: most overheard it from them."""
         self._first_ns: dict[tuple[str, TileKey], int] = {}
-        self._tile_m = 0.0 if holding.store is None else holding.store.map.tile_m
 
     def of(self, peers: Iterable[tuple[Peer, PeerChannel]], now_ns: int) -> list[Want]:
         """By worth, the least first."""
@@ -64,7 +64,9 @@ class Wants:
 
     def interest(self, peer: Peer, key: TileKey) -> bool:
         """Whether a tile is for this peer at all."""
-        return not self._holding.channel.near or _meets(key, self._tile_m, peer.area)
+        if not self._holding.channel.near:
+            return True
+        return peer.area is not None and meets(key, self._holding.tile_m, peer.area)
 
     def _settled(self, robot: str, key: TileKey, now_ns: int) -> bool:
         own = self._holding.own
@@ -74,13 +76,6 @@ class Wants:
         revision = self._holding.tiles[robot][key]
         news = (revision - since) / revision * (0.5 if since else 1.0)
         return Want(robot, key, since, news + (now_ns - self._first_ns[robot, key]) / AGE_NS)
-
-
-def _meets(key: TileKey, tile_m: float, area: Bounds | None) -> bool:
-    if area is None:
-        return False
-    west, south = key.x * tile_m, key.y * tile_m
-    return west < area.east and area.west < west + tile_m and south < area.north and area.south < south + tile_m
 
 
 def provable(theirs: Known, ours: Known, tiles: Iterable[tuple[TileKey, int]]) -> int:

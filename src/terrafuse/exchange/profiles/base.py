@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from terrafuse.kernels.adaptive import ALWAYS, MOST, PLAIN, Plan
+from terrafuse.kernels.adaptive import ALWAYS, MOST, PLAIN, SIGNED, Plan
 from terrafuse.lattice import Lattice
 from terrafuse.tile import opaque
 from terrafuse.types import Array
@@ -27,9 +27,11 @@ class Quantity:
     kind: int = PLAIN
     """PLAIN, SIGNED or PREDICTED from neighbours (kernels.adaptive)."""
     most: int = MOST
-    """The largest number; the least is 0 of what is PLAIN, else -most."""
+    """The largest number."""
     where: str | None = None
     """It travels only where this quantity before it is not 0."""
+    least: int = 0
+    """The smallest number; of what is SIGNED -most."""
 
 
 def _as_they_are(cells: Array, _: Any, __: Lattice) -> Array:
@@ -59,7 +61,8 @@ class Profile:
         where = [ALWAYS if column.where is None else names.index(column.where) for column in columns]
         kinds = np.array([column.kind for column in columns], np.int64)
         most = np.array([column.most for column in columns], np.int64)
-        return Plan(kinds, np.array(where, np.int64), np.where(kinds == PLAIN, 0, -most), most)
+        least = np.array([column.least for column in columns], np.int64)
+        return Plan(kinds, np.array(where, np.int64), np.where(kinds == SIGNED, -most, least), most)
 
     def holds(self, numbers: Array) -> bool:
         """Whether these numbers are within bounds."""

@@ -14,23 +14,18 @@ from __future__ import annotations
 import numpy as np
 
 from terrafuse.exchange.profiles.base import Profile, Quantity, at_level, level, level_above, level_below, most_level
-from terrafuse.kernels.absorb import CELL, vertical
+from terrafuse.kernels import rounded
+from terrafuse.kernels.absorb import CELL, GROUND_OF_CELL, vertical
 from terrafuse.kernels.adaptive import PREDICTED, SIGNED
-from terrafuse.kernels.evidence import TICKS_PER_M, TWO_64
+from terrafuse.kernels.evidence import TWO_64
+from terrafuse.kernels.rounded import CM2, MM2, MOST_COUNT, STEP
 from terrafuse.lattice import Lattice
 from terrafuse.models.elevation import Elevation
 from terrafuse.types import Array
 
-STEP = int(TICKS_PER_M) // 100
-"""A centimetre in ticks."""
-MM2 = (int(TICKS_PER_M) // 1000) ** 2
-"""A mm² in ticks²."""
-CM2 = 100
-"""A cm² in mm²."""
 TALL = 40_000
 """mm²; with less variance a cell is not vertical, unless the model's threshold is lower than this."""
 MOST_STEPS = (2**31 - 1) // STEP
-MOST_COUNT = 2**32 - 1
 FULL_BITS, LEAN_BITS, VARIANCE_BITS, DROP_BITS = 3, 0, 3, 0
 MOST_VARIANCE = 1 << 48
 """mm²; no heights within 31 bits of ticks have more."""
@@ -107,7 +102,8 @@ def _full_numbers(cells: Array) -> Array:
     ])  # fmt: skip
 
 
-def _full_cells(numbers: Array) -> Array:
+def full_reference(numbers: Array) -> Array:
+    """What the kernel must equal."""
     n, mean, low, high, variance, changes, alike, ground_n, ground_mean, *ground = numbers
     out = np.zeros(numbers.shape[1], CELL)
     _sums(out, "", _count(n, FULL_BITS), mean, low, high, at_level(variance, VARIANCE_BITS))
@@ -118,10 +114,16 @@ def _full_cells(numbers: Array) -> Array:
     return out
 
 
+def _full_cells(numbers: Array) -> Array:
+    out = np.zeros(numbers.shape[1], CELL)
+    rounded.elevation_full(numbers, FULL_BITS, VARIANCE_BITS, out, out.view(GROUND_OF_CELL))
+    return out
+
+
 FULL = Profile(
     (
-        Quantity("n", PREDICTED, most_level(MOST_COUNT, FULL_BITS)),
-        Quantity("mean", PREDICTED, MOST_STEPS),
+        Quantity("n", PREDICTED, most_level(MOST_COUNT, FULL_BITS), least=1),
+        Quantity("mean", PREDICTED, MOST_STEPS, least=-MOST_STEPS),
         Quantity("below", most=2 * MOST_STEPS),
         Quantity("above", most=2 * MOST_STEPS),
         Quantity("variance", most=most_level(MOST_VARIANCE, VARIANCE_BITS)),
@@ -168,7 +170,8 @@ def _lean_numbers(cells: Array) -> Array:
     return np.stack([level(own["n"], LEAN_BITS), height, drop, variance])
 
 
-def _lean_cells(numbers: Array) -> Array:
+def lean_reference(numbers: Array) -> Array:
+    """What the kernel must equal."""
     n, height, drop, variance = numbers
     out = np.zeros(numbers.shape[1], CELL)
     above, mm2 = at_level(drop, DROP_BITS), at_level(variance, 0)
@@ -178,10 +181,16 @@ def _lean_cells(numbers: Array) -> Array:
     return out
 
 
+def _lean_cells(numbers: Array) -> Array:
+    out = np.zeros(numbers.shape[1], CELL)
+    rounded.elevation_lean(numbers, LEAN_BITS, DROP_BITS, out)
+    return out
+
+
 LEAN = Profile(
     (
-        Quantity("n", PREDICTED, most_level(MOST_COUNT, LEAN_BITS)),
-        Quantity("height", PREDICTED, MOST_STEPS),
+        Quantity("n", PREDICTED, most_level(MOST_COUNT, LEAN_BITS), least=1),
+        Quantity("height", PREDICTED, MOST_STEPS, least=-MOST_STEPS),
         Quantity("drop", most=most_level(2 * MOST_STEPS, DROP_BITS)),
         Quantity("variance", most=most_level(MOST_VARIANCE, 0), where="drop"),
     ),

@@ -28,7 +28,12 @@ def profile(step: int, bits: int) -> Profile:
         return out
 
     return Profile(
-        (Quantity("sum", PREDICTED), Quantity("updates", PREDICTED, most_level(MOST_UPDATES, bits))), numbers, cells
+        (
+            Quantity("sum", PREDICTED, least=-MOST),
+            Quantity("updates", PREDICTED, most_level(MOST_UPDATES, bits), least=1),
+        ),
+        numbers,
+        cells,
     )
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from terrafuse.exchange.profiles.base import Profile, Quantity, at_level, level, most_level, steps
+from terrafuse.kernels import rounded
 from terrafuse.kernels.adaptive import MOST, PREDICTED, SIGNED
 from terrafuse.kernels.terrain import (
     CELL,
@@ -92,7 +93,8 @@ def _full_numbers(cells: Array) -> Array:
     ])  # fmt: skip
 
 
-def _full_cells(numbers: Array) -> Array:
+def full_reference(numbers: Array) -> Array:
+    """What the kernel must equal."""
     rare, coarse, wall, held, plane, slopes, height, confidence, east, north, error, occupation = numbers
     out = _new(rare, height, confidence, FULL_BITS)
     for flag, bit in ((COARSE, coarse), (WALL, wall), (HELD, held), (PLANE, plane)):
@@ -104,12 +106,20 @@ def _full_cells(numbers: Array) -> Array:
     return out
 
 
+def _full_cells(numbers: Array) -> Array:
+    out = np.zeros(numbers.shape[1], CELL)
+    rounded.terrain_full(
+        numbers, FULL_BITS, ERROR_BITS, FULL_OCCUPATIONS, HEIGHT_M, GRADIENT, 1 / CONFIDENCES, 1 / ERRORS, out
+    )
+    return out
+
+
 FULL = Profile(
     (
         Quantity("rare", most=63),
         *(Quantity(name, most=1) for name in ("coarse", "wall", "held", "plane")),
         Quantity("slopes", most=3),
-        Quantity("height", PREDICTED),
+        Quantity("height", PREDICTED, least=-MOST),
         Quantity("confidence", PREDICTED, most_level(CONFIDENCES, FULL_BITS)),
         Quantity("gradient_x", SIGNED, MOST, "slopes"),
         Quantity("gradient_y", SIGNED, MOST, "slopes"),
@@ -136,7 +146,8 @@ def _lean_numbers(cells: Array) -> Array:
     ])  # fmt: skip
 
 
-def _lean_cells(numbers: Array) -> Array:
+def lean_reference(numbers: Array) -> Array:
+    """What the kernel must equal."""
     rare, coarse, wall, height, confidence, occupation = numbers
     out = _new(rare, height, confidence, LEAN_BITS)
     _flag(out, COARSE, coarse)
@@ -145,12 +156,18 @@ def _lean_cells(numbers: Array) -> Array:
     return out
 
 
+def _lean_cells(numbers: Array) -> Array:
+    out = np.zeros(numbers.shape[1], CELL)
+    rounded.terrain_lean(numbers, LEAN_BITS, LEAN_OCCUPATIONS, HEIGHT_M, 1 / CONFIDENCES, out)
+    return out
+
+
 LEAN = Profile(
     (
         Quantity("rare", most=63),
         Quantity("coarse", most=1),
         Quantity("wall", most=1),
-        Quantity("height", PREDICTED),
+        Quantity("height", PREDICTED, least=-MOST),
         Quantity("confidence", PREDICTED, most_level(CONFIDENCES, LEAN_BITS)),
         Quantity("occupation", PREDICTED, 1 + LEAN_OCCUPATIONS, "coarse"),
     ),

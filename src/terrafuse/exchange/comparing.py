@@ -13,7 +13,7 @@ from terrafuse.types import TileKey
 QUIET_PERIODS = 3
 """A robot of which nothing came for so many reports is quiet."""
 SUSPECT_S = 600.0
-"""For so long after a node was born again its robot is looked at, quiet or not."""
+"""For so long after a robot lost count it is looked at, quiet or not."""
 MOST_AT_ONCE = 1
 """Tiles looked at in a tick."""
 
@@ -37,16 +37,14 @@ class Comparing:
         for robot, tiles in holding.tiles.items():
             self._contents.changed(robot, tiles)
 
-    def suspect(self, robot: str, now_ns: int) -> None:
-        """Its node was born again."""
-        self._until_ns[robot] = now_ns + SUSPECT_S * SECOND_NS
-
     def tick(self, now_ns: int) -> None:
         """Note what changed, and look at some of what is to be compared."""
         for robot, keys in self._holding.changed.items():
             self._contents.changed(robot, keys)
             self._changed_ns[robot] = now_ns
+        self._until_ns |= dict.fromkeys(self._holding.reborn, now_ns + SUSPECT_S * SECOND_NS)
         self._holding.changed.clear()
+        self._holding.reborn.clear()
         left = MOST_AT_ONCE
         for robot in [] if self._holding.channel.near else self._contents.stale:
             if left and self._compared(robot, now_ns):

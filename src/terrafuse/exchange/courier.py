@@ -118,7 +118,7 @@ class Courier:
         }
         self._herald = Herald(link.node, replicas, self._outbox, self._reassembler, self.settings, self._comparing)
         self._lives = Lives()
-        self._self = Peer(link.node)
+        self._born_ns = -1
         self._now_ns = self._report_ns = 0
         self._listen()
         for name, bringer in self._bringers.items():
@@ -130,8 +130,8 @@ class Courier:
 
     def tick(self, now_ns: int) -> None:
         """Receive what arrived, send what is due. To be called ten times a second or so; `now_ns` as for the link."""
-        if self._self.born_ns < 0:
-            self._begin(now_ns)
+        if self._born_ns < 0:
+            self._born_ns = self._report_ns = now_ns
             for holding in self._holdings.values():
                 holding.begin()
         self._now_ns = now_ns
@@ -144,12 +144,12 @@ class Courier:
                 holding.take_own()
         reached = [] if self.node in self.namesakes else [self._peers[name] for name in self.reached(now_ns)]
         for peer in reached:
-            self._posts.bring(peer, self._self.born_ns)
+            self._posts.bring(peer, self._born_ns)
         for comparing in self._comparing.values():
             comparing.tick(now_ns)
         for bringer in self._bringers.values():
             bringer.reach(reached, now_ns, news=reporting or bool(heard), reporting=reporting)
-        self._herald.say(now_ns, self._self.born_ns, reporting, self._posts.finished, self._posts.unsaid)
+        self._herald.say(now_ns, self._born_ns, reporting, self._posts.finished, self._posts.unsaid)
         self._outbox.send(now_ns)
 
     def post(self, peer: str, kind: str, payload: bytes) -> None:
@@ -212,9 +212,9 @@ class Courier:
         if taken is None:
             return None
         id_, message = taken
-        if kind == "post" and (message is not None or self._reassembler.finished(sender, id_)):
-            self._posts.acknowledge(id_)
         if message is None:
+            if kind == "post" and self._reassembler.finished(sender, id_):
+                self._posts.acknowledge(id_)
             return None
         self.counts[f"messages_received.{kind}"] += 1
         try:
@@ -228,7 +228,7 @@ class Courier:
                 if not holding.apply(sender, decode_piece(message), self._now_ns):
                     self._reassembler.forget(sender, id_)
             elif kind == "post":
-                self._posts.deliver(self._peer(sender), sender, message)
+                self._deliver(sender, id_, message)
         except OtherVersion as error:
             self.counts["refused.version"] += 1
             if len(self.strangers) < MOST_PEERS:
@@ -237,19 +237,29 @@ class Courier:
             self.counts[f"refused.{kind}"] += 1
         return None
 
+    def _deliver(self, sender: str, id_: bytes, message: bytes) -> None:
+        """Who posted it is told, unless it may count yet: its clock may have been set back."""
+        if self._posts.deliver(self._peer(sender), sender, message):
+            self._posts.acknowledge(id_)
+        else:
+            self._reassembler.forget(sender, id_)
+
     def _hear(self, sender: str, summary: Summary) -> str | None:
         """Take in what a peer says; its name, if that is news."""
-        peer = self._self if sender == self.node else self._peer(sender)
+        if sender == self.node:
+            self._hear_namesake(summary)
+            return None
+        peer = self._peer(sender)
         before = -1 if peer is None else peer.born_ns
         if peer is None or not self._lives.heard(peer, summary.born_ns, summary.said_ns, self._now_ns):
             self.counts["refused.peer"] += 1
             return None
-        if sender in self.namesakes or sender == self.node:
+        if sender in self.namesakes:
             self.counts["refused.namesake"] += 1
             return None
         self.strangers.pop(sender, None)
-        if summary.born_ns != before:
-            self._born_again(peer, clock_set_back=summary.born_ns < before)
+        if summary.born_ns < before:
+            self._posts.forget(sender)
         if summary.said_ns > peer.said_ns:
             peer.said_ns, peer.missing = summary.said_ns, {}
         if summary.said_ns == peer.said_ns:
@@ -268,6 +278,11 @@ class Courier:
                 self._recover(peer, channel)
         return sender
 
+    def _hear_namesake(self, summary: Summary) -> None:
+        """A node of this one's own name; or this one's former life, late."""
+        self._lives.other(self.node, summary.born_ns, summary.said_ns, self._now_ns)
+        self.counts["refused.namesake"] += 1
+
     def _known(self, name: str) -> Peer:
         if (known := self._peer(name)) is None:
             raise InputError(f"'{name}' is no peer of '{self.node}': it has no place for more, or others only")
@@ -279,22 +294,10 @@ class Courier:
         return self._peers.get(name)
 
     def _recover(self, peer: Peer, channel: str) -> None:
-        """A peer that holds more of this node's robot than it ever reported, has it from an earlier life of the node.
-
-        To the peers this is a life of its own then, or they would go by what it said before.
-        """
+        """A peer that holds more of this node's robot than it ever told, has it from an earlier life of the node."""
         holding = self._holdings.get(channel)
         if holding is not None and holding.surpass(peer.channels[channel].of(self.node).newest):
-            self._begin(self._now_ns)
-            if channel in self._comparing:
-                self._comparing[channel].suspect(self.node, self._now_ns)
-
-    def _born_again(self, peer: Peer, *, clock_set_back: bool) -> None:
-        if clock_set_back:
-            self._posts.forget(peer.name)
-        for channel, comparing in self._comparing.items():
-            if peer.name in self._holdings[channel].known:
-                comparing.suspect(peer.name, self._now_ns)
+            self._report_ns = self._now_ns
 
     def _compare(self, peer: Peer, channel: str, roots: Mapping[str, int]) -> None:
         """Where contents differ though revisions don't, tell the digests of this node's tiles."""
@@ -305,10 +308,6 @@ class Courier:
             if message is not None:
                 topic = f"tiles/{channel}/{in_topic(robot)}/{self.node}"
                 self._outbox.put(self._outbox.message(topic, message), channel)
-
-    def _begin(self, now_ns: int) -> None:
-        """A life of the node begins."""
-        self._self.born_ns = self._report_ns = now_ns
 
 
 def _learn(known: PeerChannel, robots: int, held: dict[str, int], ahead: dict[str, list[int]]) -> None:

@@ -11,7 +11,7 @@ from terrafuse.exchange.channel import Channel
 from terrafuse.exchange.codec import decode
 from terrafuse.exchange.delta import Delta, TileCells
 from terrafuse.exchange.known import Claim, Known
-from terrafuse.exchange.own import Own
+from terrafuse.exchange.own import LIFE, Own
 from terrafuse.exchange.parts import newer
 from terrafuse.exchange.piece import Piece, unpack_claim
 from terrafuse.types import TileKey
@@ -31,7 +31,9 @@ class Holding:
         self.unsaid: dict[str, set[TileKey]] = {}
         """Robots of which more is held since the last summary, and tiles that are ahead."""
         self.changed: dict[str, set[TileKey]] = {}
-        """Tiles that changed, until who compares contents takes note."""
+        """Tiles that changed, until who compares contents takes note,"""
+        self.reborn: set[str] = set()
+        """and robots that lost count: a life began."""
         self.tile_m = 0.0 if self.store is None else self.store.map.tile_m
         """Of the channel's lattice, as soon as anything of it is there."""
         self._claims: dict[str, Claim] = {}
@@ -170,6 +172,9 @@ class Holding:
 
     def _note(self, robot: str, tiles: Collection[TileCells]) -> None:
         known = self.tiles.setdefault(robot, {})
+        newest = max(known.values(), default=0)
+        if any(tile.cells["revision"].max() // LIFE > newest // LIFE for tile in tiles) and newest:
+            self.reborn.add(robot)
         for tile in tiles:
             known[tile.key] = max(known.get(tile.key, 0), int(tile.cells["revision"].max()))
         if self.store is not None and tiles:

@@ -55,6 +55,14 @@ class Lives:
             self._spoke_ns[peer.name] = now_ns
         return born_ns == peer.born_ns
 
+    def other(self, node: str, born_ns: int, said_ns: int, now_ns: int) -> None:
+        """Something came of a node of one's own name."""
+        rival = self._rivals.get(node)
+        if rival is None or rival.born_ns != born_ns:
+            rival = self._rivals[node] = Rival(born_ns, -1, now_ns, now_ns)
+        rival.speaks(said_ns, now_ns)
+        self._spoke_ns[node] = now_ns
+
     def namesakes(self, now_ns: int) -> frozenset[str]:
         """Names that two nodes have, both of which speak."""
         return frozenset(

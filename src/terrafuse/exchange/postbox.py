@@ -86,11 +86,17 @@ class Postbox:
         """Whatever this sender posts from now on is new: its clock may be another one."""
         self._inbox.forget(sender)
 
-    def deliver(self, peer: Peer | None, sender: str, message: bytes) -> None:
-        """Raises CodecError for bytes that are no post, or not what its kind says."""
+    def deliver(self, peer: Peer | None, sender: str, message: bytes) -> bool:
+        """False for one of a life that another one took the place of.
+
+        Raises CodecError for bytes that are no post, or not what its kind says.
+        """
         post = decode_post(message)
-        if not self._inbox.is_new(sender, post):
-            return
+        if self._inbox.is_new(sender, post):
+            self._hand_over(peer, sender, post)
+        return self._inbox.lives(sender, post)
+
+    def _hand_over(self, peer: Peer | None, sender: str, post: Post) -> None:
         if post.kind.startswith(ASK):
             self._answer(peer, post)
         elif post.kind.startswith(ANSWER):

@@ -50,6 +50,10 @@ class Inbox:
     def __init__(self) -> None:
         self._last: OrderedDict[tuple[str, str], tuple[int, int]] = OrderedDict()
 
+    def lives(self, sender: str, post: Post) -> bool:
+        """Whether nothing of this kind came of a later life of the sender."""
+        return post.born_ns >= self._last.get((sender, post.kind), (-1, -1))[0]
+
     def forget(self, sender: str) -> None:
         """It was started afresh, perhaps with another clock: what comes of it is new."""
         for key in [key for key in self._last if key[0] == sender]:

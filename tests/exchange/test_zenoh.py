@@ -5,20 +5,22 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 
 import pytest
 
 pytest.importorskip("zenoh")
 
-from terrafuse.errors import InputError
+from terrafuse.errors import InputError, TerrafuseError
 from terrafuse.exchange.links import Link
+from terrafuse.exchange.links import zenoh as links_zenoh
 from terrafuse.exchange.links.topics import key_of, topic_of
 from terrafuse.exchange.links.transport import Address, Transport, address
 from terrafuse.exchange.links.zenoh import ZenohLink
 from terrafuse.testing.links import LinkTests
 from terrafuse.testing.relay import Mishaps, Relay
-from tests.exchange.zenoh_nodes import LOOPBACK, collected, free_port, joining, until
+from tests.exchange.zenoh_nodes import LOOPBACK, PATIENCE_S, collected, free_port, joining, until
 
 
 def plain(**settings: object) -> Transport:
@@ -187,6 +189,74 @@ def test_one_hung_robot_keeps_neither_others_nor_the_end_waiting(here: str) -> N
         ZenohLink("station", plain(listen=here)).close()
         for robot in (hung, well):
             robot.close()
+
+
+def test_who_uses_a_link_never_waits_for_its_thread(here: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It hangs, as it would in Zenoh; and says so, in time."""
+    monkeypatch.setattr(links_zenoh, "STUCK_S", 2.0)
+    station = ZenohLink("station", plain(listen=here))
+    hangs, release = threading.Event(), threading.Event()
+
+    def tell(text: str) -> None:
+        hangs.set()
+        release.wait(PATIENCE_S)
+
+    robot = ZenohLink("r4", plain(connect=here), tell)
+    until(lambda: robot.connected, "a connection")
+    station.close()
+    assert hangs.wait(PATIENCE_S)
+    began_s = time.monotonic()
+    robot.listen("x")
+    robot.send("x", b"", 0)
+    robot.nodes()
+    assert robot.receive(0) == []
+    assert time.monotonic() - began_s < 1.5
+
+    def stuck() -> bool:
+        try:
+            robot.receive(0)
+        except TerrafuseError as error:
+            return "'r4' waiting" in str(error)
+        return False
+
+    until(stuck, "what is wrong")
+    began_s = time.monotonic()
+    robot.close()
+    assert time.monotonic() - began_s < 3.0
+    release.set()
+
+
+def test_topics_come_and_sessions_go_while_frames_arrive(here: str) -> None:
+    """Declaring and undeclaring waits for callbacks that run, and those for nothing that is held meanwhile."""
+    station, robot = ZenohLink("station", plain(listen=here)), ZenohLink("r4", plain(connect=here))
+    ended = threading.Event()
+
+    def flood() -> None:
+        while not ended.is_set():
+            for k in range(8):
+                station.send(f"x/{k}/{k}", bytes(2000), 0)
+            time.sleep(0.001)
+
+    flooding = threading.Thread(target=flood)
+    flooding.start()
+    try:
+        for round_ in range(5):
+            link = ZenohLink(f"s{round_}", plain(connect=here))
+            for k in range(8):
+                link.listen(f"x/{k}/{k}")
+            for topic in ("x/0", "x/1", "x"):
+                link.listen(topic)
+            topics = {f"x/{k}/{k}" for k in range(8)}
+            collected(link, lambda frames, all_=topics: {frame.topic for frame in frames} == all_)  # type: ignore[misc]
+            robot._end_session()  # as where keys were renewed
+            robot.listen(f"x/{round_}")
+            link.close()
+        collected(robot, lambda frames: {frame.topic for frame in frames} >= {f"x/{k}/{k}" for k in range(5)})
+    finally:
+        ended.set()
+        flooding.join()
+        for link in (robot, station):
+            link.close()
 
 
 WITHOUT = """

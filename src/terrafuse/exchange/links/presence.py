@@ -15,7 +15,6 @@ from __future__ import annotations
 import secrets
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Any
 
 from terrafuse.exchange.links.topics import key_of, topic_of
@@ -32,20 +31,18 @@ def new_life() -> str:
 
 class Presence:
     """One node's, for as long as it lives: over all its sessions. `on_namesake()` is called, by whatever thread, when
-    there is a sign of another life of its name."""
+    there is a sign of another life of its name. What takes a session calls into Zenoh, which may take its time."""
 
     def __init__(self, node: str, hub: bool, on_namesake: Callable[[], None]) -> None:
         self.node, self.life = node, new_life()
         self._role, self._sees_all = ("hub" if hub else "end"), hub
-        self._session: Any = None
+        self._watched: set[str] = set()
         self._on_namesake = on_namesake
         self._signs: set[tuple[str, str]] = set()
 
     def nodes(self) -> list[str]:
-        """The other nodes, sorted. At an end, the first answer may have those who listen only."""
-        if not self._sees_all:
-            self._sees_all = True
-            self._watch("end/*/*")
+        """The other nodes, sorted. At an end, the first answers may have those who listen only."""
+        self._sees_all = True
         return sorted({node for node, _ in self._signs.copy() if node != self.node})
 
     @property
@@ -57,13 +54,17 @@ class Presence:
         """Put up the sign on a new session, and watch for others'."""
         import zenoh
 
-        self._session, self._signs = session, set()
-        name = f"{NAMES}/{key_of(self.node)}"
-        answer: Any = zenoh.handlers.Callback(lambda query: query.reply(name, self.life), indirect=False)
-        session.declare_queryable(name, answer)
+        self._watched, self._signs = set(), set()
+        session.declare_queryable(f"{NAMES}/{key_of(self.node)}", zenoh.handlers.Callback(self._answer, indirect=False))
         self._sign = session.liveliness().declare_token(f"{SIGNS}/{self._role}/{key_of(self.node)}/{self.life}")
+        self.look(session)
+
+    def look(self, session: Any) -> None:
+        """Watch for what is to be seen by now."""
         for signs in ("hub/*/*", "end/*/*" if self._sees_all else f"end/{key_of(self.node)}/*"):
-            self._watch(signs)
+            if session is not None and signs not in self._watched:
+                self._watched.add(signs)
+                self._watch(session, signs)
 
     def namesake(self, session: Any) -> str | None:
         """The older life that answers to this node's name, if there is one."""
@@ -81,15 +82,16 @@ class Presence:
 
     def lost(self) -> None:
         """The session is gone; what is known of others is too."""
-        self._session, self._signs = None, set()
+        self._signs = set()
 
-    def _watch(self, signs: str) -> None:
-        if (session := self._session) is not None:
-            import zenoh
+    def _watch(self, session: Any, signs: str) -> None:
+        import zenoh
 
-            see = zenoh.handlers.Callback(self._see, indirect=False)
-            with suppress(zenoh.ZError):  # closed meanwhile
-                session.liveliness().declare_subscriber(f"{SIGNS}/{signs}", see, history=True)
+        see = zenoh.handlers.Callback(self._see, indirect=False)
+        session.liveliness().declare_subscriber(f"{SIGNS}/{signs}", see, history=True)
+
+    def _answer(self, query: Any) -> None:
+        query.reply(f"{NAMES}/{key_of(self.node)}", self.life)
 
     def _see(self, sample: Any) -> None:
         _, _, node, life = topic_of(str(sample.key_expr)).split("/")

@@ -15,6 +15,7 @@ class SendQueue:
         self._most_bytes = most_bytes
         self._waiting: deque[Frame] = deque()
         self._bytes = 0
+        self._woken = False
         self._changed = threading.Condition()
 
     def add(self, frame: Frame) -> bool:
@@ -28,15 +29,22 @@ class SendQueue:
             return True
 
     def take(self, wait_s: float) -> Frame | None:
-        """The oldest; None if there is none within `wait_s`."""
+        """The oldest; None if there is none within `wait_s`, or before somebody wakes who waits."""
         with self._changed:
-            if not self._waiting:
+            if not self._waiting and not self._woken:
                 self._changed.wait(wait_s)
+            self._woken = False
             if not self._waiting:
                 return None
             frame = self._waiting.popleft()
             self._bytes -= len(frame.payload)
             return frame
+
+    def wake(self) -> None:
+        """Let who waits look after something else."""
+        with self._changed:
+            self._woken = True
+            self._changed.notify()
 
     def clear(self) -> int:
         """Drop all, and let who waits go; how many were dropped."""

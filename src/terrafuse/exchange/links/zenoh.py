@@ -6,6 +6,11 @@ What goes out waits in a bounded queue for a thread of the link's own, since Zen
 receiver is slow, whatever it was told. The same thread connects: it tries again until somebody answers, and says once
 what is in the way. A connection that is lost later comes back by itself; meanwhile frames are dropped and counted, and
 what lacks is asked for by the exchange.
+
+Whatever is asked of Zenoh may wait for its own threads, and those for what our callbacks wait for. So **only the
+link's thread calls into Zenoh**, but for the end of a session, which has a thread to itself, and the answer to who asks
+for our name; **no lock is held meanwhile**; and callbacks take only the one lock, which is held for a few statements at
+a time. Who uses the link never waits for Zenoh.
 """
 
 from __future__ import annotations
@@ -37,6 +42,10 @@ LOOK_S = 0.2
 CLOSE_S = 1.0
 NO_WORD_S = 1.0
 """A lost connection is spoken of when it has not come back by then."""
+LISTEN_S = 1.0
+"""How long `listen` waits to be heeded, at most."""
+STUCK_S = 60.0
+"""Whoever sends, connects, or is given up, takes less; a call that lasts longer never ends."""
 
 
 class ZenohLink:
@@ -64,8 +73,13 @@ class ZenohLink:
         self._listens, self._connects = addresses(transport)
         self._identity = _identity(node, transport)
         self._presence = Presence(node, bool(self._listens), self._meet_namesake)
-        self._topics: dict[str, Any] = {}
-        """Listened to; Zenoh's subscriber of each, once there is a session."""
+        self._wanted: tuple[str, ...] = ()
+        """Topics to listen to, none of them below another."""
+        self._heeded: tuple[str, ...] | None = None
+        """Those that the session listens to. Like it and its subscribers, the link's thread's own."""
+        self._subscribers: dict[str, Any] = {}
+        self._changed = threading.Event()
+        """What is heeded is what is wanted."""
         self._arrived: deque[Frame] = deque()
         self._arrived_bytes = 0
         self._queue = SendQueue(transport.queue_bytes)
@@ -78,9 +92,10 @@ class ZenohLink:
         self._refused: TerrafuseError | None = None
         self._closing = threading.Event()
         self._tried = threading.Event()
-        self._lock = threading.RLock()
-        """Held by who changes the session or what is declared on it."""
-        self._inbox_lock = threading.Lock()
+        self._lock = threading.Lock()
+        """Of what callers, the link's thread and Zenoh's share. Never held while Zenoh is called."""
+        self._alive_s = time.monotonic()
+        """When the link's thread last had nothing to wait for."""
         self._thread = threading.Thread(target=self._run, name=f"link of {node}", daemon=True)
         self._thread.start()
         self._tried.wait(FIRST_S)
@@ -107,11 +122,13 @@ class ZenohLink:
     def listen(self, topic: str) -> None:
         check_topic(topic)
         with self._lock:
-            if any(covers(own, topic) for own in self._topics):
+            if any(covers(own, topic) for own in self._wanted):
                 return
-            for below in [own for own in self._topics if covers(topic, own)]:
-                _undeclare(self._topics.pop(below))
-            self._topics[topic] = None if self._session is None else self._subscribe(self._session, topic)
+            self._wanted = (*(own for own in self._wanted if not covers(topic, own)), topic)
+            self._changed.clear()
+        self._queue.wake()
+        if self._session is not None:
+            self._changed.wait(LISTEN_S)
 
     def send(self, topic: str, payload: bytes, now_ns: int) -> None:
         check_frame(self, topic, payload)
@@ -124,10 +141,9 @@ class ZenohLink:
     def receive(self, now_ns: int) -> list[Frame]:
         if self._refused is not None:
             raise self._refused
-        frames = [self._arrived.popleft() for _ in range(len(self._arrived))]
-        size = sum(len(frame.payload) for frame in frames)
-        with self._inbox_lock:
-            self._arrived_bytes -= size
+        self._check_stuck()
+        with self._lock:
+            frames, self._arrived, self._arrived_bytes = list(self._arrived), deque(), 0
         return frames
 
     def close(self) -> None:
@@ -145,11 +161,17 @@ class ZenohLink:
         if self._closing.is_set():
             raise closed(self, topic)
 
+    def _check_stuck(self) -> None:
+        silent_s = time.monotonic() - self._alive_s
+        if silent_s > STUCK_S and not self._closing.is_set():
+            raise TerrafuseError(f"Zenoh has kept the link of '{self.node}' waiting for {silent_s:.0f} s; make it anew")
+
     # --- the link's thread --------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
         pause_s, looked_s = PAUSE_S, 0.0
         while not self._closing.is_set():
+            self._alive_s = time.monotonic()
             if self._session is None:
                 if self._open():
                     pause_s = PAUSE_S
@@ -157,6 +179,8 @@ class ZenohLink:
                     self._closing.wait(pause_s)
                     pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
                 continue
+            with suppress(self._zenoh.ZError):  # closed meanwhile
+                self._heed(self._session)
             frame = self._queue.take(LOOK_S)
             if frame is not None:
                 self._put(frame)
@@ -172,10 +196,18 @@ class ZenohLink:
             self._not_opened(str(error))
             return False
         with self._lock:
-            if self._closing.is_set():
-                self._leave(session)
-                return False
+            late = self._closing.is_set()
+            self._session = None if late else session
+        if late:
+            self._leave(session)
+            return False
+        try:
             self._declare(session)
+        except self._zenoh.ZError as error:
+            self._end_session()
+            if not self._closing.is_set():
+                self._not_opened(str(error))
+            return False
         self._check_name()
         if not self._alone:
             self._well()
@@ -201,9 +233,24 @@ class ZenohLink:
         watch = self._zenoh.handlers.Callback(self._linked, indirect=False)
         session.info.declare_transport_events_listener(watch, history=True)
         self._presence.join(session)
-        for topic in self._topics:
-            self._topics[topic] = self._subscribe(session, topic)
-        self._session = session
+        self._heeded, self._subscribers = None, {}
+        self._heed(session)
+
+    def _heed(self, session: Any) -> None:
+        """Have the session listen to what is wanted by now."""
+        with self._lock:
+            wanted = self._wanted
+        if session is None or wanted == self._heeded:
+            return
+        for topic in self._subscribers.keys() - wanted:
+            self._subscribers.pop(topic).undeclare()
+        for topic in wanted:
+            if topic not in self._subscribers:
+                self._subscribers[topic] = self._subscribe(session, topic)
+        self._heeded = wanted
+        with self._lock:
+            if wanted == self._wanted:
+                self._changed.set()
 
     def _subscribe(self, session: Any, topic: str) -> Any:
         take = self._zenoh.handlers.Callback(self._arrive, indirect=False)
@@ -214,8 +261,7 @@ class ZenohLink:
     def _end_session(self) -> None:
         with self._lock:
             session, self._session = self._session, None
-            self._topics = dict.fromkeys(self._topics)
-        self._links = {}
+            self._links = {}
         self._presence.lost()
         if session is not None:
             self._leave(session)
@@ -251,6 +297,8 @@ class ZenohLink:
 
     def _look(self) -> None:
         """What nobody tells the thread of: rules that changed, a namesake, a connection that does not come back."""
+        with suppress(self._zenoh.ZError):  # closed meanwhile
+            self._presence.look(self._session)
         if self._met.is_set():
             self._met.clear()
             self._check_name()
@@ -281,8 +329,10 @@ class ZenohLink:
             self._end_session()
 
     def _check_name(self) -> None:
-        session = self._session
-        if session is None or self._presence.namesake(session) is None:
+        session, namesake = self._session, None
+        with suppress(self._zenoh.ZError):  # closed meanwhile
+            namesake = None if session is None else self._presence.namesake(session)
+        if namesake is None:
             return
         self._refuse(
             InputError(
@@ -314,20 +364,20 @@ class ZenohLink:
     # --- Zenoh's threads ----------------------------------------------------------------------------------------------
 
     def _linked(self, event: Any) -> None:
-        other = str(event.transport.zid)
-        if str(event.kind) == "SampleKind.PUT":
-            self._links = self._links | {other: event.transport.whatami == self._zenoh.WhatAmI.ROUTER}
-            self.counts["connections"] += 1
-        else:
-            self._links = {zid: router for zid, router in self._links.items() if zid != other}
-        self._linked_s = time.monotonic()
+        other, there = str(event.transport.zid), str(event.kind) == "SampleKind.PUT"
+        router = event.transport.whatami == self._zenoh.WhatAmI.ROUTER
+        with self._lock:
+            others = {zid: hub for zid, hub in self._links.items() if zid != other}
+            self._links = others | ({other: router} if there else {})
+            self.counts["connections"] += there
+            self._linked_s = time.monotonic()
 
     def _meet_namesake(self) -> None:
         self._met.set()
 
     def _arrive(self, sample: Any) -> None:
         frame = Frame(topic_of(str(sample.key_expr).removeprefix(f"{ROOT}/")), sample.payload.to_bytes())
-        with self._inbox_lock:
+        with self._lock:
             if self._closing.is_set():
                 return
             if self._arrived_bytes + len(frame.payload) > self.transport.inbox_bytes:
@@ -335,8 +385,8 @@ class ZenohLink:
                 return
             self._arrived_bytes += len(frame.payload)
             self._arrived.append(frame)
-        self.counts["frames_received"] += 1
-        self.counts["bytes_received"] += len(frame.payload)
+            self.counts["frames_received"] += 1
+            self.counts["bytes_received"] += len(frame.payload)
 
 
 def _library() -> Any:
@@ -355,8 +405,3 @@ def _identity(node: str, transport: Transport) -> Identity | None:
     except ImportError as error:
         raise MissingExtra("keys", "cryptography", "net") from error
     return load_identity(transport.keys, node, bool(transport.listen))
-
-
-def _undeclare(subscriber: Any) -> None:
-    if subscriber is not None:
-        subscriber.undeclare()

@@ -55,9 +55,9 @@ GOLDEN = {
         # header, msgpack
         "9ca9656c65766174696f6e0104c0a272310202ce7735940002030209"
         # body
-        "b13c208493d8559f498e1047000d475ee8"
+        "b13c208493d8559f48e410470d475ee8"
         # CRC-32 of all before
-        "9d4181ad"
+        "fbd7aa3c"
     ),
     "grey exact": bytes.fromhex(
         # magic

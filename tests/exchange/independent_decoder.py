@@ -20,8 +20,7 @@ NAMES = ["model", "resolution_m", "tile_m", "crs", "robot", "revision", "span", 
 EXACT, ROUNDED = ["tiles", "fields", "sizes"], ["tiles", "cells", "pairs", "digits"]
 PLAIN, SIGNED, PREDICTED = "plain", "signed", "predicted"
 COLUMNS: dict[tuple[str, int], list[tuple[str, str, str | None]]] = {
-    ("elevation", 2): [("n", PREDICTED, None), ("height", PREDICTED, None), ("drop", PLAIN, None),
-                       ("variance", PLAIN, "drop")],
+    ("elevation", 2): [("n", PREDICTED, None), ("height", PREDICTED, None), ("drop", PLAIN, None)],
     ("elevation", 1): [("n", PREDICTED, None), ("mean", PREDICTED, None), ("below", PLAIN, None),
                        ("above", PLAIN, None), ("variance", PLAIN, None), ("changes", PLAIN, None),
                        ("alike", PLAIN, None), ("ground_n", PLAIN, None), ("ground_mean", SIGNED, "ground_n"),

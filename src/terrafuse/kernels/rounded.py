@@ -63,12 +63,11 @@ def elevation_full(numbers, n_bits, variance_bits, cells, grounds):
 
 
 @njit(cache=True, nogil=True)
-def elevation_lean(numbers, n_bits, drop_bits, cells):
-    """numbers (4, K) → cells (K,) of zeros."""
+def elevation_lean(numbers, n_bits, cells):
+    """numbers (3, K) → cells (K,) of zeros."""
     for k in range(cells.shape[0]):
-        above, mm2 = at_level(numbers[2, k], drop_bits), at_level(numbers[3, k], 0)
-        below = -(-mm2 // max(CM2 * above, 1))
-        set_sums(cells[k], at_level(numbers[0, k], n_bits), numbers[1, k] - above, below, above, mm2)
+        half = at_level(numbers[2, k], 0)
+        set_sums(cells[k], at_level(numbers[0, k], n_bits), numbers[1, k] - half, half, half, CM2 * half * half)
         cells[k].merges = 1
 
 

@@ -6,7 +6,7 @@ that the cell may be vertical, the mean gives way by one centimetre. The highest
 cell shows.
 
 The lean profile holds what a cell shows: its height, the mean or, of a vertical one, the highest point. Flat cells have
-no variance in it; of vertical ones it is rounded up, so that they stay so.
+no variance in it; vertical ones are as if their points lay half at the top and half so deep below that they stay so.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from terrafuse.types import Array
 TALL = 40_000
 """mm²; with less variance a cell is not vertical, unless the model's threshold is lower than this."""
 MOST_STEPS = (2**31 - 1) // STEP
-FULL_BITS, LEAN_BITS, VARIANCE_BITS, DROP_BITS = 3, 0, 3, 0
+FULL_BITS, LEAN_BITS, VARIANCE_BITS = 3, 0, 3
 MOST_VARIANCE = 1 << 48
 """mm²; no heights within 31 bits of ticks have more."""
 
@@ -158,32 +158,28 @@ def _flat(cells: Array, model: Elevation, lattice: Lattice) -> Array:
 
 def _lean_numbers(cells: Array) -> Array:
     own = _evidence(cells)
-    mean, top = _mean(own), _steps(own["z_max"])
-    mm2 = variance_mm2(own)
-    height = np.where(mm2 > 0, top, mean)
-    drop = np.minimum(level(np.maximum(top - mean, 1), DROP_BITS), level_below(height + MOST_STEPS, DROP_BITS))
-    # As low as heights go: so deep below the mean can the lowest point lie, and so large can the variance be.
-    above = at_level(drop, DROP_BITS)
-    room = level_below(CM2 * above * (height - above + MOST_STEPS), 0)
-    drop = np.where(mm2 > 0, drop, 0)
-    variance = np.where(drop > 0, np.minimum(level_above(mm2, 0), room), 0)
-    return np.stack([level(own["n"], LEAN_BITS), height, drop, variance])
+    top, mm2 = _steps(own["z_max"]), variance_mm2(own)
+    height = np.where(mm2 > 0, top, _mean(own))
+    sigma = np.ceil(np.sqrt(mm2 / CM2)).astype(np.int64)
+    # Heights end somewhere: the lowest point can't lie below.
+    room = level_below((height + MOST_STEPS) // 2, 0)
+    drop = np.where(mm2 > 0, np.minimum(level_above(np.maximum(top - _mean(own), sigma), 0), room), 0)
+    return np.stack([level(own["n"], LEAN_BITS), height, drop])
 
 
 def lean_reference(numbers: Array) -> Array:
     """What the kernel must equal."""
-    n, height, drop, variance = numbers
+    n, height, drop = numbers
     out = np.zeros(numbers.shape[1], CELL)
-    above, mm2 = at_level(drop, DROP_BITS), at_level(variance, 0)
-    below = -(-mm2 // np.maximum(CM2 * above, 1))
-    _sums(out, "", _count(n, LEAN_BITS), height - above, below, above, mm2)
+    half = at_level(drop, 0)
+    _sums(out, "", _count(n, LEAN_BITS), height - half, half, half, CM2 * half * half)
     out["merges"] = 1
     return out
 
 
 def _lean_cells(numbers: Array) -> Array:
     out = np.zeros(numbers.shape[1], CELL)
-    rounded.elevation_lean(numbers, LEAN_BITS, DROP_BITS, out)
+    rounded.elevation_lean(numbers, LEAN_BITS, out)
     return out
 
 
@@ -191,8 +187,7 @@ LEAN = Profile(
     (
         Quantity("n", PREDICTED, most_level(MOST_COUNT, LEAN_BITS), least=1),
         Quantity("height", PREDICTED, MOST_STEPS, least=-MOST_STEPS),
-        Quantity("drop", most=most_level(2 * MOST_STEPS, DROP_BITS)),
-        Quantity("variance", most=most_level(MOST_VARIANCE, 0), where="drop"),
+        Quantity("drop", most=most_level(2 * MOST_STEPS, 0)),
     ),
     _lean_numbers,
     _lean_cells,

@@ -43,6 +43,17 @@ class TestSqliteStoreWithShortTails(StoreTests):
             yield store
 
 
+class TestSqliteStoreWithAMessageForAll(StoreTests):
+    """However many tiles a message has, it is kept as it came; and tails are folded by the thread at once."""
+
+    @pytest.fixture
+    def store(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Store]:
+        monkeypatch.setattr("terrafuse.store.sqlite.MIN_TAIL_BYTES", 0)
+        monkeypatch.setattr("terrafuse.store.sqlite.MOST_TILES_A_MESSAGE", 1000)
+        with SqliteStore.create(tmp_path / "map.db", LATTICE, MODEL) as store:
+            yield store
+
+
 def filled(path: Path) -> SqliteStore:
     store = SqliteStore.create(path, LATTICE, MODEL)
     for delta in deltas_of("r1", random_scans(1, 8), LATTICE, MODEL):

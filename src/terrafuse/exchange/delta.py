@@ -11,7 +11,9 @@ from itertools import pairwise
 import numpy as np
 
 from terrafuse.errors import DeltaError
+from terrafuse.kernels import content
 from terrafuse.lattice import MAX_CELL, Lattice
+from terrafuse.tile import opaque
 from terrafuse.types import Array, Stamp, TileKey
 
 MAX_NAME = 200
@@ -108,16 +110,18 @@ def check_cells(delta: Delta) -> None:
 
 def _together(tiles: Sequence[TileCells]) -> tuple[Array, Array, Array]:
     """Where tiles begin, and the positions and cells of all."""
+    if len(tiles) == 1:
+        return np.zeros(1, np.int64), tiles[0].at, tiles[0].cells
     starts = np.cumsum([0, *(len(tile.at) for tile in tiles[:-1])])
-    return starts, np.concatenate([tile.at for tile in tiles]), np.concatenate([tile.cells for tile in tiles])
+    cells = np.concatenate([opaque(tile.cells) for tile in tiles]).view(tiles[0].cells.dtype)
+    return starts, np.concatenate([tile.at for tile in tiles]), cells
 
 
 def _flaw(starts: Array, at: Array, cells: Array, delta: Delta) -> str | None:
-    side, revisions = delta.map.lattice.tile_cells, np.ascontiguousarray(cells["revision"])
-    steps = np.diff(at, prepend=-1)
-    steps[starts] = 1
-    if at.min() < 0 or at.max() >= side * side or steps.min() <= 0:
-        return "positions that do not rise within it"
-    if revisions.max() > delta.revision or revisions.min() < 1:
-        return f"cells of revisions outside 1 to {delta.revision}: newer than the delta, or none"
-    return "cells from before 1970" if cells["stamp"].min() < 0 else None
+    side = delta.map.lattice.tile_cells
+    flaw = content.flaw_of(starts, at, cells["revision"], cells["stamp"], side * side, delta.revision)
+    return {
+        content.POSITIONS: "positions that do not rise within it",
+        content.REVISIONS: f"cells of revisions outside 1 to {delta.revision}: newer than the delta, or none",
+        content.STAMPS: "cells from before 1970",
+    }.get(flaw)

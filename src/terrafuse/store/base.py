@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from hashlib import blake2b
 from typing import Protocol
 
 import numpy as np
 
 from terrafuse.errors import DeltaError
 from terrafuse.exchange.delta import Delta, MapId, TileCells, check_content
+from terrafuse.kernels.newer import put_newer
 from terrafuse.models.base import Model
 from terrafuse.tile import opaque
 from terrafuse.types import Array, Pose, Stamp, TileKey
@@ -46,10 +49,17 @@ class Store(Protocol):
     @property
     def model(self) -> Model: ...
 
-    def accept(self, delta: Delta, path: Iterable[PathPoint] = ()) -> bool:
+    def accept(self, delta: Delta, path: Iterable[PathPoint] = (), message: bytes | None = None) -> bool:
         """Take a delta in, with the poses of its scans; False if this very delta was there already.
 
-        Raises DeltaError for one of another map. Order does not matter.
+        `message`: bytes that decode to the same tiles, where they are at hand: a store may keep these as they are. A
+        duplicate is then known by them. Raises DeltaError for a delta of another map. Order does not matter.
+        """
+
+    def together(self) -> AbstractContextManager[None]:
+        """What is accepted within is made to last at the end, at once for all: who is told of it, is told after that.
+
+        Other threads find nothing of it before; a crash takes all of it back.
         """
 
     def version(self) -> Hashable:
@@ -101,6 +111,13 @@ def check_delta(delta: Delta, map_: MapId, model: Model) -> None:
                 raise DeltaError(f"tile {tuple(tile.key)} has cells with {flaw}: no mapper makes such")
 
 
+def identity_of(delta: Delta, message: bytes | None) -> tuple[str, int, int, str]:
+    """What a delta is known by; its message is a thirtieth of its cells."""
+    if message is None:
+        return delta.identity
+    return delta.robot, delta.since, delta.revision, blake2b(message, digest_size=16).hexdigest()
+
+
 def newest(dense: Array, at: Array, cells: Array) -> None:
     """Put cells (K,) into a dense tile (T²,) where they are newer than what is there.
 
@@ -108,11 +125,17 @@ def newest(dense: Array, at: Array, cells: Array) -> None:
     of these the newer stamp counts, and of equal stamps the larger bytes, so that even then the order in which they
     arrive makes no difference.
     """
-    given, held = opaque(np.ascontiguousarray(cells)), opaque(dense)[at]
-    newer = cells["revision"] > dense["revision"][at]
-    for k in np.flatnonzero((cells["revision"] == dense["revision"][at]) & (given != held)):
-        newer[k] = (cells["stamp"][k], given[k].tobytes()) > (dense["stamp"][at[k]], held[k].tobytes())
-    opaque(dense)[at[newer]] = given[newer]
+    given = np.ascontiguousarray(cells)
+    ties = np.empty(len(at), np.int64)
+    count = put_newer(_bytes(dense), dense["revision"], at, _bytes(given), given["revision"], ties)
+    for k in ties[:count]:
+        own, new = dense[at[k]], given[k]
+        if (new["stamp"], new.tobytes()) > (own["stamp"], own.tobytes()):
+            opaque(dense)[at[k]] = opaque(given)[k]
+
+
+def _bytes(records: Array) -> Array:
+    return records.view(np.uint8).reshape(len(records), records.dtype.itemsize)
 
 
 def sparse(dense: Array) -> tuple[Array, Array]:

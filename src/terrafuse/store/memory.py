@@ -3,26 +3,31 @@
 from __future__ import annotations
 
 import time
+from collections import OrderedDict
 from collections.abc import Hashable, Iterable
+from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
 
 from terrafuse.exchange.delta import Delta, MapId, TileCells, map_id
 from terrafuse.lattice import Lattice
 from terrafuse.models.base import Model
-from terrafuse.store.base import HistoryEntry, PathPoint, check_delta, newest, sparse
+from terrafuse.store.base import HistoryEntry, PathPoint, check_delta, identity_of, newest, sparse
 from terrafuse.types import Array, Stamp, TileKey
+
+MOST_HISTORY = 1 << 14
 
 
 class MemoryStore:
-    """Contributions as dense tiles; history keeps what the entries say, not the cells."""
+    """Contributions as dense tiles; history keeps what the newest MOST_HISTORY entries say, not the cells."""
 
     def __init__(self, lattice: Lattice, model: Model) -> None:
         self._map = map_id(model.name, lattice)
         self._model = model
         self._tiles: dict[str, dict[TileKey, Array]] = {}
         self._paths: dict[str, dict[int, PathPoint]] = {}
-        self._history: dict[tuple[str, int, int, str], HistoryEntry] = {}
+        self._history: OrderedDict[tuple[str, int, int, str], HistoryEntry] = OrderedDict()
+        self._accepted = 0
         self._newest: dict[str, tuple[int, Stamp]] = {}
         self._levels: dict[str, int] = {}
 
@@ -34,9 +39,10 @@ class MemoryStore:
     def model(self) -> Model:
         return self._model
 
-    def accept(self, delta: Delta, path: Iterable[PathPoint] = ()) -> bool:
+    def accept(self, delta: Delta, path: Iterable[PathPoint] = (), message: bytes | None = None) -> bool:
         check_delta(delta, self._map, self._model)
-        if delta.identity in self._history:
+        identity = identity_of(delta, message)
+        if identity in self._history:
             return False
         tiles = self._tiles.setdefault(delta.robot, {})
         side = self._map.lattice.tile_cells
@@ -50,8 +56,9 @@ class MemoryStore:
         self._newest[delta.robot] = max(revision, delta.revision), max(stamp_ns, delta.stamp_ns)
         if delta.since < delta.revision:
             self._levels[delta.robot] = max(self.level(delta.robot), delta.revision)
-        self._history[delta.identity] = HistoryEntry(
-            len(self._history) + 1,
+        self._accepted += 1
+        self._history[identity] = HistoryEntry(
+            self._accepted,
             delta.robot,
             delta.since,
             delta.revision,
@@ -60,10 +67,15 @@ class MemoryStore:
             delta.cell_count,
             sum(tile.cells.nbytes for tile in delta.tiles),
         )
+        if len(self._history) > MOST_HISTORY:
+            self._history.popitem(last=False)
         return True
 
+    def together(self) -> AbstractContextManager[None]:
+        return nullcontext()
+
     def version(self) -> Hashable:
-        return len(self._history)
+        return self._accepted
 
     def robots(self) -> list[str]:
         return sorted(self._tiles)

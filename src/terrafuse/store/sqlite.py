@@ -1,8 +1,9 @@
 """The embedded store: one SQLite file.
 
-History is the journal: accepting a delta appends its cells, a transaction a delta. A contribution is a base state and
-the history after it; when the tail outweighs the base it is folded in, so that writing costs O(log) a cell however
-often it changes. A crash leaves whole deltas and nothing else.
+History is the journal: accepting a delta appends its cells, a transaction a delta, or one for all that are accepted
+`together`. A delta that came as a message is kept as that. A contribution is a base state and the history after it;
+when the tail outweighs the base it is folded in, so that writing costs O(log) a cell however often it changes: at once,
+or, of what was accepted together, by a thread of the store's own. A crash leaves whole deltas and nothing else.
 """
 
 from __future__ import annotations
@@ -16,22 +17,25 @@ from collections.abc import Hashable, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from terrafuse.errors import OutputError, StoreError, StoreMismatch
-from terrafuse.exchange.codec import pack_cells, unpack_cells
+from terrafuse.exchange.codec import decode, pack_cells, unpack_cells
 from terrafuse.exchange.delta import Delta, MapId, TileCells, map_id
 from terrafuse.lattice import Lattice
 from terrafuse.models import make_model
 from terrafuse.models.base import Model
-from terrafuse.store.base import HistoryEntry, PathPoint, check_delta, newest, sparse
+from terrafuse.store.base import HistoryEntry, PathPoint, check_delta, identity_of, newest, sparse
+from terrafuse.store.folding import Folding
 from terrafuse.types import Array, Pose, Stamp, TileKey
 
-SCHEMA = 1
+SCHEMA = 2
 APPLICATION_ID = 0x54465553  # "TFUS"
 MIN_TAIL_BYTES = 1 << 16
+MOST_TILES_A_MESSAGE = 4
+"""Each of a message's tiles is read by unpacking all of it: with more, each is packed by itself."""
 
 TABLES = """
 CREATE TABLE meta (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
@@ -39,19 +43,27 @@ CREATE TABLE deltas (
     sequence INTEGER PRIMARY KEY, robot TEXT NOT NULL, since INTEGER NOT NULL, revision INTEGER NOT NULL,
     tiles TEXT NOT NULL, stamp_ns INTEGER NOT NULL, arrival_ns INTEGER NOT NULL, cells INTEGER NOT NULL,
     nbytes INTEGER NOT NULL, UNIQUE (robot, since, revision, tiles));
+CREATE TABLE messages (sequence INTEGER PRIMARY KEY, message BLOB NOT NULL);
 CREATE TABLE history (
     sequence INTEGER NOT NULL, robot TEXT NOT NULL, level INTEGER NOT NULL, x INTEGER NOT NULL, y INTEGER NOT NULL,
-    count INTEGER NOT NULL, cells BLOB NOT NULL, PRIMARY KEY (robot, level, x, y, sequence)) WITHOUT ROWID;
+    count INTEGER NOT NULL, cells BLOB, PRIMARY KEY (robot, level, x, y, sequence)) WITHOUT ROWID;
 CREATE TABLE contributions (
     robot TEXT NOT NULL, level INTEGER NOT NULL, x INTEGER NOT NULL, y INTEGER NOT NULL,
-    revision INTEGER NOT NULL, stamp_ns INTEGER NOT NULL,
-    through INTEGER NOT NULL, tail_bytes INTEGER NOT NULL, count INTEGER NOT NULL, cells BLOB NOT NULL,
-    PRIMARY KEY (robot, level, x, y));
+    revision INTEGER NOT NULL, stamp_ns INTEGER NOT NULL, base_bytes INTEGER NOT NULL, tail_bytes INTEGER NOT NULL,
+    PRIMARY KEY (robot, level, x, y)) WITHOUT ROWID;
+CREATE TABLE bases (
+    robot TEXT NOT NULL, level INTEGER NOT NULL, x INTEGER NOT NULL, y INTEGER NOT NULL,
+    through INTEGER NOT NULL, count INTEGER NOT NULL, cells BLOB NOT NULL, PRIMARY KEY (robot, level, x, y));
 CREATE TABLE poses (
     robot TEXT NOT NULL, stamp_ns INTEGER NOT NULL, pose BLOB NOT NULL, covariance BLOB,
     PRIMARY KEY (robot, stamp_ns)) WITHOUT ROWID;
 """
-"""`contributions.cells` is the state up to history sequence `through`; `revision` and `stamp_ns` are of all of it."""
+"""`bases.cells` is the state up to history sequence `through`; a contribution's `revision` and `stamp_ns` are of all of
+it. `history.cells` is null where they are in the message of that sequence."""
+
+Where = tuple[str, int, int, int]
+"""Robot, level, x, y."""
+PLACE = "robot = ? AND level = ? AND x = ? AND y = ?"
 
 
 class SqliteStore:
@@ -63,6 +75,8 @@ class SqliteStore:
         self._map = map_
         self._model = model
         self._lock = threading.RLock()
+        self._together = False
+        self._folding: Folding[Where] = Folding(self._fold, f"folding {path.name}")
 
     @classmethod
     def create(cls, path: Path, lattice: Lattice, model: Model, notes: Mapping[str, Any] | None = None) -> SqliteStore:
@@ -111,12 +125,14 @@ class SqliteStore:
         return self._model
 
     def close(self) -> None:
+        self._folding.close()
         with self._lock:
             self._connection.close()
 
     def finish(self) -> None:
         """Fold the write-ahead log in for good and close: the file is whole by itself, can be moved, and can be read
         from a folder that can't be written. Raises StoreError while another program has it open."""
+        self._folding.close()
         with self._lock, _faults(self.file):
             ((mode,),) = self._connection.execute("PRAGMA journal_mode = DELETE").fetchall()
             if mode != "delete":
@@ -129,76 +145,129 @@ class SqliteStore:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def accept(self, delta: Delta, path: Iterable[PathPoint] = ()) -> bool:
+    def accept(self, delta: Delta, path: Iterable[PathPoint] = (), message: bytes | None = None) -> bool:
+        self._folding.raise_fault()
         check_delta(delta, self._map, self._model)
-        frames = [(tile, pack_cells(tile.at, tile.cells)) for tile in delta.tiles if len(tile.at)]
+        if len(delta.tiles) > MOST_TILES_A_MESSAGE:
+            message = None
+        frames = [None if message else pack_cells(tile.at, tile.cells) for tile in delta.tiles]
+        sizes = _sizes(delta, message) if message else [len(frame or b"") for frame in frames]
         with self._transaction() as connection:
-            sequence = self._register(delta, sum(len(frame) for _, frame in frames))
+            sequence = self._register(delta, message, sum(sizes))
             if sequence is None:
                 return False
             connection.executemany(
                 "INSERT OR IGNORE INTO poses VALUES (?, ?, ?, NULL)",
                 [(delta.robot, p.stamp_ns, p.T_world_sensor.matrix[:3].astype("<f8").tobytes()) for p in path],
             )
-            for tile, frame in frames:
-                self._append(delta, sequence, tile, frame)
+            if message and delta.tiles:
+                connection.execute("INSERT INTO messages VALUES (?, ?)", (sequence, message))
+            for tile, frame, size in zip(delta.tiles, frames, sizes, strict=True):
+                self._append(delta.robot, sequence, tile, frame, size)
         return True
 
-    def _register(self, delta: Delta, nbytes: int) -> int | None:
+    @contextmanager
+    def together(self) -> Iterator[None]:
+        """Other threads wait: they never read what a crash may take back."""
+        with self._lock:
+            self._together = True
+            try:
+                yield
+            finally:
+                self._together = False
+                self._commit()
+
+    def _commit(self) -> None:
+        with _faults(self.file):
+            try:
+                if self._connection.in_transaction:
+                    self._connection.execute("COMMIT")
+            except sqlite3.DatabaseError:
+                if self._connection.in_transaction:
+                    self._connection.execute("ROLLBACK")
+                raise
+
+    def _register(self, delta: Delta, message: bytes | None, nbytes: int) -> int | None:
         """The delta's place in history; None if it is there already."""
         cursor = self._connection.execute(
             "INSERT OR IGNORE INTO deltas VALUES (NULL, ?, ?, ?, ?, ?, ?, ?, ?)",
-            (*delta.identity, delta.stamp_ns, time.time_ns(), delta.cell_count, nbytes),
+            (*identity_of(delta, message), delta.stamp_ns, time.time_ns(), delta.cell_count, nbytes),
         )
         return cursor.lastrowid if cursor.rowcount else None
 
-    def _append(self, delta: Delta, sequence: int, tile: TileCells, frame: bytes) -> None:
-        where = (delta.robot, tile.key.level, tile.key.x, tile.key.y)
+    def _append(self, robot: str, sequence: int, tile: TileCells, frame: bytes | None, size: int) -> None:
+        where = (robot, tile.key.level, tile.key.x, tile.key.y)
         self._connection.execute(
             "INSERT INTO history VALUES (?, ?, ?, ?, ?, ?, ?)", (sequence, *where, len(tile.at), frame)
         )
-        self._connection.execute(
-            "INSERT INTO contributions VALUES (?, ?, ?, ?, ?, ?, 0, ?, 0, x'') "
+        ((base, tail),) = self._connection.execute(
+            "INSERT INTO contributions VALUES (?, ?, ?, ?, ?, ?, 0, ?) "
             "ON CONFLICT (robot, level, x, y) DO UPDATE SET revision = max(revision, excluded.revision), "
-            "stamp_ns = max(stamp_ns, excluded.stamp_ns), tail_bytes = tail_bytes + excluded.tail_bytes",
-            (*where, int(tile.cells["revision"].max()), int(tile.cells["stamp"].max()), len(frame)),
-        )
-        tail, base = self._connection.execute(
-            "SELECT tail_bytes, length(cells) FROM contributions WHERE robot = ? AND level = ? AND x = ? AND y = ?",
-            where,
-        ).fetchone()
+            "stamp_ns = max(stamp_ns, excluded.stamp_ns), tail_bytes = tail_bytes + excluded.tail_bytes "
+            "RETURNING base_bytes, tail_bytes",
+            (*where, int(tile.cells["revision"].max()), int(tile.cells["stamp"].max()), size),
+        ).fetchall()
         if tail > max(2 * base, MIN_TAIL_BYTES):
-            self._rebase(where, sequence)
+            if self._together:
+                self._folding.put(where)
+            else:
+                self._rebase(where, sequence, self._folded(where, self._frames(where)), tail)
 
-    def _rebase(self, where: tuple[str, int, int, int], through: int) -> None:
-        """Fold a contribution's tail into its base."""
-        at, cells = sparse(self._dense(where))
+    def _fold(self, where: Where) -> None:
+        """Fold a contribution's tail into its base, while others write."""
+        with self._lock, _faults(self.file):
+            frames, tail = self._frames(where), self._tail_bytes(where)
+        folded = self._folded(where, frames)
+        with self._transaction():
+            self._rebase(where, frames[-1].sequence, folded, tail)
+
+    def _tail_bytes(self, where: Where) -> int:
+        query = f"SELECT tail_bytes FROM contributions WHERE {PLACE}"
+        return int(self._connection.execute(query, where).fetchone()[0])
+
+    def _folded(self, where: Where, frames: Iterable[_Frame]) -> tuple[int, bytes]:
+        """Count and packed cells."""
+        at, cells = sparse(self._dense(where, frames))
+        return len(at), pack_cells(at, cells)
+
+    def _rebase(self, where: Where, through: int, folded: tuple[int, bytes], tail: int) -> None:
+        count, base = folded
         self._connection.execute(
-            "UPDATE contributions SET through = ?, tail_bytes = 0, count = ?, cells = ? "
-            "WHERE robot = ? AND level = ? AND x = ? AND y = ?",
-            (through, len(at), pack_cells(at, cells), *where),
+            "INSERT OR REPLACE INTO bases VALUES (?, ?, ?, ?, ?, ?, ?)", (*where, through, count, base)
+        )
+        self._connection.execute(
+            f"UPDATE contributions SET base_bytes = ?, tail_bytes = tail_bytes - ? WHERE {PLACE}",
+            (len(base), tail, *where),
         )
 
-    def _dense(self, where: tuple[str, int, int, int]) -> Array:
+    def _dense(self, where: Where, frames: Iterable[_Frame]) -> Array:
         """A contribution as (T²,) cells."""
         side = self._map.lattice.tile_cells
         dense = np.zeros(side * side, self._model.cell)
-        for count, frame in self._frames(where):
-            newest(dense, *unpack_cells(frame, count, self._model.cell, side))
+        for frame in frames:
+            newest(dense, *self._unpacked(where, frame))
         return dense
 
-    def _frames(self, where: tuple[str, int, int, int]) -> Iterator[tuple[int, bytes]]:
-        place = "robot = ? AND level = ? AND x = ? AND y = ?"
+    def _unpacked(self, where: Where, frame: _Frame) -> tuple[Array, Array]:
+        if frame.packed is not None:
+            return unpack_cells(frame.packed, frame.size, self._model.cell, self._map.lattice.tile_cells)
+        _, level, x, y = where
+        key = TileKey(x, y, level)
+        (tile,) = (tile for tile in decode(frame.message, self._model.cell).tiles if tile.key == key)
+        return tile.at, tile.cells
+
+    def _frames(self, where: Where) -> list[_Frame]:
+        """Base and tail."""
         base = self._connection.execute(
-            f"SELECT through, count, cells FROM contributions WHERE {place}", where
-        ).fetchone()
-        through, count, frame = base or (0, 0, b"")
-        if count:
-            yield count, frame
-        yield from self._connection.execute(
-            f"SELECT count, cells FROM history WHERE {place} AND sequence > ? ORDER BY sequence",
-            (*where, through),
-        )
+            f"SELECT through, count, cells, NULL FROM bases WHERE {PLACE}", where
+        ).fetchall()
+        tail = self._connection.execute(
+            "SELECT h.sequence, h.count, h.cells, m.message FROM history AS h "
+            f"LEFT JOIN messages AS m ON m.sequence = h.sequence AND h.cells IS NULL WHERE {PLACE} AND h.sequence > ? "
+            "ORDER BY h.sequence",
+            (*where, base[0][0] if base else 0),
+        ).fetchall()
+        return [_Frame(*row) for row in (*base, *tail)]
 
     def robots(self) -> list[str]:
         return [name for (name,) in self._read("SELECT DISTINCT robot FROM deltas ORDER BY robot")]
@@ -230,8 +299,10 @@ class SqliteStore:
         return {TileKey(x, y, level): revision for x, y, level, revision in rows}
 
     def load(self, robot: str, key: TileKey) -> TileCells | None:
+        where = (robot, key.level, key.x, key.y)
         with self._lock, _faults(self.file):
-            at, cells = sparse(self._dense((robot, key.level, key.x, key.y)))
+            frames = self._frames(where)
+        at, cells = sparse(self._dense(where, frames))
         return TileCells(key, at, cells) if len(at) else None
 
     def poses(self, robot: str) -> list[PathPoint]:
@@ -261,9 +332,40 @@ class SqliteStore:
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:
-        with self._lock, _faults(self.file), self._connection:
-            self._connection.execute("BEGIN IMMEDIATE")
-            yield self._connection
+        """All of it or nothing; within `together` a part of what is made to last at its end."""
+        with self._lock, _faults(self.file):
+            if not self._together:
+                with self._connection:
+                    self._connection.execute("BEGIN IMMEDIATE")
+                    yield self._connection
+                return
+            if not self._connection.in_transaction:
+                self._connection.execute("BEGIN IMMEDIATE")
+            self._connection.execute("SAVEPOINT one")
+            try:
+                yield self._connection
+            except BaseException:
+                if self._connection.in_transaction:  # a full disk may have ended it
+                    self._connection.execute("ROLLBACK TO one")
+                raise
+            finally:
+                if self._connection.in_transaction:
+                    self._connection.execute("RELEASE one")
+
+
+class _Frame(NamedTuple):
+    """Cells of a tile as they lie there: packed by themselves, or in a message."""
+
+    sequence: int
+    size: int
+    """Cells."""
+    packed: bytes | None
+    message: bytes
+
+
+def _sizes(delta: Delta, message: bytes) -> list[int]:
+    """About what each tile takes of a message."""
+    return [len(message) * len(tile.at) // max(delta.cell_count, 1) for tile in delta.tiles]
 
 
 def _connect(path: Path) -> sqlite3.Connection:
@@ -309,7 +411,8 @@ def _check_schema(path: Path, connection: sqlite3.Connection) -> None:
         )
     if schema < SCHEMA:
         connection.close()
-        raise StoreMismatch(f"{path}: a store that was never finished; delete it and map again")
+        what = f"of schema {schema}, older than {SCHEMA}, which this terrafuse reads" if schema else "never finished"
+        raise StoreMismatch(f"{path}: a store {what}; delete it and map again")
 
 
 def _pose(blob: bytes) -> Pose:

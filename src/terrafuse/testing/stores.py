@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from terrafuse.errors import DeltaError
+from terrafuse.exchange.codec import encode
 from terrafuse.exchange.delta import Delta
+from terrafuse.exchange.profiles import report
 from terrafuse.lattice import Lattice
 from terrafuse.models import make_model
 from terrafuse.replica import Replica
@@ -77,6 +79,33 @@ class StoreTests:
         assert store.accept(delta)
         assert not store.accept(delta)
         assert len(store.history()) == 1
+
+    @pytest.mark.parametrize("profile", ["exact", "full"])
+    def test_messages_are_as_good_as_cells(self, store: Store, profile: str) -> None:
+        deltas = [report(delta, profile, MODEL) for delta in deltas_of("r1", random_scans(4, 6, 6.0), LATTICE, MODEL)]
+        expected = Replica(LATTICE, MODEL)
+        for delta in deltas:
+            expected.apply(delta)
+        for k in (3, 0, 5, 1, 1, 4, 2, 5):
+            store.accept(deltas[k], message=encode(deltas[k]))
+        assert Replica(store=store).digest() == expected.digest()
+        assert len(store.history()) == 6
+
+    def test_what_is_accepted_together_is_there(self, store: Store) -> None:
+        deltas = deltas_of("r1", random_scans(4, 6), LATTICE, MODEL)
+        store.accept(deltas[0])
+        with store.together():
+            for delta in deltas[1:4]:
+                assert store.accept(delta, message=encode(delta))
+            with pytest.raises(DeltaError):
+                store.accept(replace(deltas[5], since=9))
+            assert not store.accept(deltas[0])
+            assert store.revision("r1") == 4
+        assert store.accept(deltas[4])
+        expected = Replica(LATTICE, MODEL)
+        for delta in deltas[:5]:
+            expected.apply(delta)
+        assert Replica(store=store).digest() == expected.digest()
 
     def test_refuses_a_delta_of_another_map(self, store: Store) -> None:
         (delta,) = deltas_of("r1", random_scans(5, 1), Lattice(0.25, 4.0), MODEL)

@@ -40,6 +40,8 @@ START = struct.Struct("<3sBBI")
 TABLE_ROWS, LOW = 3, 2**32 - 1
 """Of stamps and revisions: by how many revisions it is older than the delta, and its age in units, in two words."""
 MOST_DIGITS = 9
+SAMPLE = 16
+"""Cells that most often tell that a profile has not rounded them."""
 FORMS = {code: name for name, code in CODES.items()}
 
 
@@ -278,10 +280,7 @@ def _encode_rounded(delta: Delta, name: str, profile: Profile) -> bytes | None:
     if not delta.tiles or any(tile.key.level for tile in delta.tiles):
         return None
     cells = np.concatenate([tile.cells for tile in delta.tiles])
-    numbers = profile.numbers(cells)
-    again = profile.cells(numbers)
-    again["stamp"], again["revision"] = cells["stamp"], cells["revision"]
-    if (opaque(again) != opaque(cells)).any() or not profile.holds(numbers):
+    if _numbers_of(cells[:SAMPLE], profile) is None or (numbers := _numbers_of(cells, profile)) is None:
         return None
     stamps, revisions, seen = _pairs(cells)
     ages = [delta.stamp_ns - stamp for stamp in stamps]
@@ -296,6 +295,13 @@ def _encode_rounded(delta: Delta, name: str, profile: Profile) -> bytes | None:
         np.vstack([seen, numbers]),
     )
     return _sealed(name, header, [adaptive.packed(whole, delta.map.lattice.tile_cells, profile.plan)])
+
+
+def _numbers_of(cells: Array, profile: Profile) -> Array | None:
+    numbers = profile.numbers(cells)
+    again = profile.cells(numbers)
+    again["stamp"], again["revision"] = cells["stamp"], cells["revision"]
+    return numbers if profile.holds(numbers) and (opaque(again) == opaque(cells)).all() else None
 
 
 def _digits(number: int) -> int:
@@ -313,13 +319,14 @@ def _unfolded(number: int) -> int:
 
 def _pairs(cells: Array) -> tuple[list[int], Array, Array]:
     """Stamps and revisions of the distinct pairs of both, the most frequent first; each cell's number among these."""
-    both = np.empty(len(cells), [("stamp", "<i8"), ("revision", "<i8")])
-    both["stamp"], both["revision"] = cells["stamp"], cells["revision"]
-    pairs, seen, counts = np.unique(both, return_inverse=True, return_counts=True)
+    stamps, stamp_of = np.unique(cells["stamp"], return_inverse=True)
+    revisions, revision_of = np.unique(cells["revision"], return_inverse=True)
+    pairs, seen, counts = np.unique(stamp_of * len(revisions) + revision_of, return_inverse=True, return_counts=True)
     order = np.argsort(-counts, kind="stable")
     rank = np.empty(len(pairs), np.int64)
     rank[order] = np.arange(len(pairs))
-    return pairs["stamp"][order].tolist(), pairs["revision"][order], rank[seen.reshape(-1)]
+    which_stamp, which_revision = np.divmod(pairs[order], len(revisions))
+    return stamps[which_stamp].tolist(), revisions[which_revision].astype(np.int64), rank[seen]
 
 
 def _rounded_tiles(

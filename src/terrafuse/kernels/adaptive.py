@@ -103,8 +103,9 @@ def neighbours(keys, starts, at, side, west, north):
 def to_symbols(numbers, kinds, where, west, north, symbols):
     """numbers (C, K) int64 → symbols (C, K); -1 where a column has none: where column where[c] is 0."""
     for c in range(numbers.shape[0]):
+        own = numbers[c]
         for k in range(numbers.shape[1]):
-            number = numbers[c, k]
+            number = own[k]
             if where[c] >= 0 and numbers[where[c], k] == 0:
                 symbols[c, k] = -1
             elif kinds[c] == PLAIN:
@@ -112,7 +113,7 @@ def to_symbols(numbers, kinds, where, west, north, symbols):
             elif kinds[c] == SIGNED:
                 symbols[c, k] = fold(number)
             else:
-                symbols[c, k] = fold(number - expected(numbers[c], k, west, north))
+                symbols[c, k] = fold(number - expected(own, k, west, north))
 
 
 @njit(inline="always")

@@ -9,6 +9,7 @@ import numpy as np
 
 from terrafuse.exchange.channel import Channel
 from terrafuse.exchange.delta import Delta, TileCells
+from terrafuse.exchange.growth import Growth
 from terrafuse.exchange.holding import Holding
 from terrafuse.exchange.known import Known
 from terrafuse.exchange.peer import Peer, PeerChannel
@@ -127,3 +128,16 @@ def test_a_tile_s_worth_is_that_to_who_lacks_most_of_it() -> None:
     (want,) = robot.wants().of([(robot.peer, robot.known), (Peer("r3"), other)], 0)
     assert (want.since, want.worth) == (0, 1.0)
     assert np.isclose(robot.wants().of([(robot.peer, robot.known)], 0)[0].worth, 0.5 * 1 / 2)
+
+
+def test_new_cells_of_a_known_tile_count_by_their_share() -> None:
+    growth = Growth()
+    tile = TileKey(0, 0)
+    cells = delta(tile, 1).tiles[0].cells
+    for revision, at in ((3, [0]), (7, [0, 1]), (9, [1, 2, 3])):
+        records = np.repeat(cells, len(at))
+        records["revision"] = revision
+        growth.note(TileCells(tile, np.array(at, np.int32), records), 2)
+    # Four cells at last; 1 at revision 3, 2 at 7.
+    assert [growth.unknown(tile, since) for since in (0, 3, 5, 7, 9)] == [1.0, 0.75, 0.75, 0.5, 0.0]
+    assert growth.unknown(TileKey(1, 0), 5) is None

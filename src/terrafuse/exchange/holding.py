@@ -10,6 +10,7 @@ from terrafuse.errors import CodecError, DeltaError
 from terrafuse.exchange.channel import Channel
 from terrafuse.exchange.codec import decode
 from terrafuse.exchange.delta import Delta, TileCells
+from terrafuse.exchange.growth import Growth
 from terrafuse.exchange.known import Claim, Known
 from terrafuse.exchange.own import LIFE, Own
 from terrafuse.exchange.parts import newer
@@ -36,6 +37,8 @@ class Holding:
         """and robots that lost count: a life began."""
         self.tile_m = 0.0 if self.store is None else self.store.map.tile_m
         """Of the channel's lattice, as soon as anything of it is there."""
+        self.growth = Growth()
+        """Of what this node itself made."""
         self._claims: dict[str, Claim] = {}
         """That can't be followed yet."""
         self._counts = counts
@@ -58,6 +61,8 @@ class Holding:
         if self.store is not None:
             self.store.accept(delta)
         self._note(delta.robot, delta.tiles)
+        for tile in delta.tiles:
+            self.growth.note(tile, delta.map.lattice.tile_cells)
         known.level(delta.revision)
         self.unsaid.setdefault(delta.robot, set())
 

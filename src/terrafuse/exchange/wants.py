@@ -1,8 +1,8 @@
 """What peers lack of a channel, the most worth first.
 
-A tile is worth the share of its robot's revisions that the peer lacks of it, from 0 to 1, half of it where the peer
-holds something of the tile; and each 30 s of waiting as much as a tile that nobody ever told. So nothing starves:
-what has waited for longer than that goes before all that is younger by 30 s, whatever it is.
+A tile is worth the share of its cells that the peer knows nothing of, from 0 to 1; of the others, half the share of the
+robot's revisions that it lacks of them; and each 30 s of waiting as much as a tile that nobody ever told. So nothing
+starves: what has waited goes before all that is younger by 30 s, whatever it is.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from terrafuse.exchange.peer import Peer, PeerChannel
 from terrafuse.types import TileKey
 
 AGE_NS = 30e9
+AGAIN = 0.5
 
 
 @dataclass(frozen=True)
@@ -73,9 +74,16 @@ class Wants:
         return (own is not None and robot == own.robot) or now_ns >= self._first_ns[robot, key] + self._settle_ns
 
     def _want(self, robot: str, key: TileKey, since: int, now_ns: int) -> Want:
+        waited = (now_ns - self._first_ns[robot, key]) / AGE_NS
+        return Want(robot, key, since, self._news(robot, key, since) + waited)
+
+    def _news(self, robot: str, key: TileKey, since: int) -> float:
+        own = self._holding.own
+        unknown = self._holding.growth.unknown(key, since) if own is not None and own.robot == robot else None
+        if unknown is None:
+            unknown = 0.0 if since else 1.0
         revision = self._holding.tiles[robot][key]
-        news = (revision - since) / revision * (0.5 if since else 1.0)
-        return Want(robot, key, since, news + (now_ns - self._first_ns[robot, key]) / AGE_NS)
+        return unknown + (1 - unknown) * AGAIN * (revision - since) / revision
 
 
 def provable(theirs: Known, ours: Known, tiles: Iterable[tuple[TileKey, int]]) -> int:

@@ -16,13 +16,10 @@ A topic is what a message is about, then whom it is from or for, parts divided b
 
 | topic | payload | who listens |
 |---|---|---|
-| `delta/ROBOT/NODE` | cells that this robot reports, sent by that node, be it another | every replica |
-| `global/ROBOT` | global cells for this robot | that robot |
+| `delta/CHANNEL/ROBOT/NODE` | cells that this robot reports, sent by that node, be it another | every replica |
 | `summary/NODE` | which revisions this node holds | whoever can help it |
-| `query/NODE`, `reply/NODE` | a question to this node, an answer for it | that node |
-| `pose/ROBOT`, `health/NODE` | where this robot is, how this node fares | whoever shows or judges it |
+| `tiles/CHANNEL/ROBOT/NODE` | digests of this robot's tiles, as this node holds them | whoever holds others |
 | `post/NODE/SENDER` | the newest message of its kind to this node | that node |
-| `correction/ROBOT` | a pose correction for this robot | that robot |
 
 Who sent a frame stands in its topic or payload. A carrier that knows credentials binds them to topics: it refuses what
 a node may not send there. Which frame is worth more is not the link's affair: what comes first is sent first.

@@ -201,7 +201,7 @@ def _beginnings(logs: Mapping[str, Log], settings: MapSettings) -> dict[str, tup
     """(east, north) of each log's first scan, of those that have one."""
     firsts = {name: next((r for r in log.scans() if isinstance(r, Scan)), None) for name, log in logs.items()}
     return {
-        name: _place(_placed(scan, logs[name], settings), logs[name].georeferenced)
+        name: _place(placed(scan, logs[name], settings), logs[name].georeferenced)
         for name, scan in firsts.items()
         if scan is not None
     }
@@ -346,12 +346,12 @@ def _timed(records: Iterator[Record], clock: dict[str, float]) -> Iterator[Recor
 def prepared(run: Plan, robot: str, scan: Scan) -> Scan:
     """A scan of the robot's log as its mapper takes it: in the map's frame, read as its sensor is described."""
     log, sensor = run.logs[robot], run.sensors.get(robot)
-    placed = _placed(scan, log, run.settings)
+    there = placed(scan, log, run.settings)
     with _of_log(robot, log):
-        return applied(sensor, placed) if sensor else undescribed(placed)
+        return applied(sensor, there) if sensor else undescribed(there)
 
 
-def _placed(scan: Scan, log: Log, settings: MapSettings) -> Scan:
+def placed(scan: Scan, log: Log, settings: MapSettings) -> Scan:
     """The scan in the map's frame."""
     if log.georeferenced or settings.origin_m is None:
         return scan

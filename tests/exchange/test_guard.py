@@ -109,6 +109,12 @@ def test_a_flood_is_refused_until_the_rate_allows_more() -> None:
     assert one.check("r4", GOOD, NOW + SECOND_NS, 400) == "rate"
     assert one.check("r4", GOOD, NOW + 2 * SECOND_NS, 400) is None
     assert one.check("station", GOOD, NOW, 400) is None
+    # A message of more than the burst is paid for later: after 10 s it lacks 500 of 1000 bytes, after 15 s none.
+    assert [one.check("r4", GOOD, 5 * NOW + s * SECOND_NS, 1500) for s in (0, 10, 14, 15)] == [
+        None,
+        *["rate"] * 2,
+        None,
+    ]
     # Never more than the burst, however long it was silent.
     assert [one.check("r4", GOOD, 10 * NOW, 600) for _ in range(2)] == [None, "rate"]
 

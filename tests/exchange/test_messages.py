@@ -6,7 +6,7 @@ from contextlib import suppress
 
 import msgspec
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from terrafuse.errors import CodecError
@@ -170,6 +170,7 @@ def test_of_another_version_only_that_is_read(version: int, rest: list[object]) 
 
 
 @given(st.binary(max_size=60))
+@example(b"\x93\xa1\x80")  # no UTF-8
 def test_other_bytes_are_refused(message: bytes) -> None:
     readers = (unpack, Summary), (decode_post, Post), (decode_piece, Piece), (decode_digests, Digests)
     for read, kind in readers:

@@ -54,6 +54,15 @@ def station(
     crs: Crs = None,
     global_factor: Factor = 1,
     budget: Budget = None,
+    quota_rate: Annotated[
+        float, typer.Option(metavar="BYTES_PER_S", help="What it takes of a robot at most, over half a minute.")
+    ] = 5e6,
+    quota_distance: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METRES", help="How far from itself a robot may report anything, more than its sensor sees."
+        ),
+    ] = None,
     keys: Keys = None,
     insecure: Insecure = False,
     plugin: Plugins = None,
@@ -64,11 +73,17 @@ def station(
     It runs until it is stopped (Ctrl-C, SIGTERM); the same command goes on with the same map. Robots must be given the
     same --model, --resolution and --tile.
     """
-    from terrafuse.services.settings import LinkPart, StationPart
+    from terrafuse.services.settings import LinkPart, QuotasPart, StationPart
 
+    quotas = QuotasPart(
+        bytes_per_s=arguments.positive("--quota-rate", quota_rate, "bytes") or quota_rate,
+        distance_m=arguments.positive("--quota-distance", quota_distance),
+    )
     about = _map(model, resolution, tile, crs, global_factor)
     link = _link(listen=tuple(listen), keys=keys, insecure=insecure, kind=LinkPart)
-    part = StationPart(name=name, store=str(_path(store)), bytes_per_s=arguments.positive("--budget", budget, "bytes"))
+    part = StationPart(
+        name=name, store=str(_path(store)), bytes_per_s=arguments.positive("--budget", budget, "bytes"), quotas=quotas
+    )
     return _run(_settings(map=about, link=link, station=part), [name], json)
 
 

@@ -73,7 +73,7 @@ def decode_question(message: bytes) -> Question:
     """Raises CodecError for anything else."""
     try:
         return _questions.decode(message)
-    except (msgspec.DecodeError, msgspec.ValidationError) as error:
+    except ValueError as error:
         raise CodecError(f"a question that can't be read: {error}") from error
 
 
@@ -81,7 +81,7 @@ def decode_answer(message: bytes) -> Answer:
     """Raises CodecError for anything else."""
     try:
         return _answers.decode(message)
-    except (msgspec.DecodeError, msgspec.ValidationError) as error:
+    except ValueError as error:
         raise CodecError(f"an answer that can't be read: {error}") from error
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from math import isinf
@@ -15,11 +14,10 @@ from terrafuse.exchange.outbox import Outbox, Outgoing
 from terrafuse.exchange.pace import SECOND_NS, CourierSettings
 from terrafuse.exchange.parts import oldest
 from terrafuse.exchange.peer import Flight, Peer, PeerChannel, TileFlight, parts_of
-from terrafuse.exchange.piece import Piece, encode_piece, pack_claim
+from terrafuse.exchange.piece import Piece, encode_piece, in_topic, pack_claim
 from terrafuse.exchange.wants import Want, Wants, provable
 from terrafuse.types import TileKey
 
-NOT_IN_TOPICS = re.compile(r"[/*$#?+\x00-\x1f\x7f]")
 CELL_BYTES = 4
 """About as much as a cell takes: messages of a slow link are short, so that none keeps others waiting for long."""
 LEAST_CELLS = 64
@@ -30,10 +28,6 @@ MOST_NEEDS = 2048
 MOST_LOOSE = 16
 SOME_PROGRESS = 5
 """Reports until a peer that still lacks something is told up to where it lacks nothing."""
-
-
-def in_topic(robot: str) -> str:
-    return NOT_IN_TOPICS.sub("_", robot)
 
 
 class Bringer:

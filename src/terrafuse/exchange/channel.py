@@ -16,8 +16,9 @@ from terrafuse.exchange.own import Source
 from terrafuse.store.base import Store
 from terrafuse.types import TileKey
 
-Guard = Callable[[str, Delta, int], str | None]
-"""`guard(sender, delta, now_ns)`: why a delta that this node sent is refused, in a word; None: it may come in."""
+Guard = Callable[[str, Delta, int, int], str | None]
+"""`guard(sender, delta, now_ns, nbytes)`: why a delta that this node sent, in so many bytes, is refused, in a word;
+None: it may come in. What is refused may come again: it may be its time only that was wrong."""
 
 NAME = re.compile(r"[a-z][a-z0-9_-]{0,31}")
 

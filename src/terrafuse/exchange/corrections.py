@@ -65,7 +65,7 @@ def decode_corrections(message: bytes) -> Sequence[Correction]:
     """Bytes → corrections, by stamp. Raises CodecError for anything else, motions that are not rigid among it."""
     try:
         some = [Correction(one.from_ns, _pose(one.rows)) for one in _decode(message)]
-    except (msgspec.DecodeError, msgspec.ValidationError, PoseError) as error:
+    except (ValueError, PoseError) as error:
         raise CodecError(f"corrections that can't be read: {error}") from error
     if len(some) > MOST or any(one.from_ns >= other.from_ns for one, other in pairwise(some)):
         raise CodecError(f"{len(some)} corrections whose stamps do not rise")

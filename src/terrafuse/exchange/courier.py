@@ -28,7 +28,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 from terrafuse.errors import CodecError, InputError
 from terrafuse.exchange.asking import Answerer, Question
-from terrafuse.exchange.bringing import Bringer, in_topic
+from terrafuse.exchange.bringing import Bringer
 from terrafuse.exchange.budget import Budget
 from terrafuse.exchange.channel import Channel
 from terrafuse.exchange.comparing import Comparing
@@ -43,7 +43,7 @@ from terrafuse.exchange.outbox import Outbox
 from terrafuse.exchange.own import Source
 from terrafuse.exchange.pace import SECOND_NS, CourierSettings
 from terrafuse.exchange.peer import Peer, PeerChannel
-from terrafuse.exchange.piece import decode_piece
+from terrafuse.exchange.piece import decode_piece, in_topic
 from terrafuse.exchange.postbox import OnAnswer, OnCorrection, OnMessage, Postbox
 from terrafuse.exchange.summary import OtherVersion, Summary, unpack
 from terrafuse.types import Bounds, TileKey
@@ -224,8 +224,8 @@ class Courier:
                 self.counts["refused.namesake"] += 1
             elif kind == "tiles" and (comparing := self._comparing.get(about[0])):
                 comparing.differ(decode_digests(message))
-            elif kind == "delta" and (holding := self._holdings.get(about[0])):
-                if not holding.apply(sender, decode_piece(message), self._now_ns):
+            elif kind == "delta" and len(about) == 3 and (holding := self._holdings.get(about[0])):
+                if not holding.apply(sender, about[1], decode_piece(message), self._now_ns):
                     self._reassembler.forget(sender, id_)
             elif kind == "post":
                 self._deliver(sender, id_, message)

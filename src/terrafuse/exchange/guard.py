@@ -29,6 +29,7 @@ from collections import Counter, deque
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from math import hypot, inf, isinf
+from typing import Protocol
 
 import numpy as np
 
@@ -42,6 +43,12 @@ MOST_PLACES = 512
 """That are remembered of a robot; the oldest go first."""
 NEAR = 4
 """A place nearer to the last one than a quarter of the reach adds nothing."""
+
+
+class Allows(Protocol):
+    """`Policy`, or what looks it up."""
+
+    def allows(self, node: str, robot: str) -> bool: ...
 
 
 @dataclass(frozen=True)
@@ -102,13 +109,15 @@ class _Robot:
     tiles: set[TileKey] = field(default_factory=set)
     places: deque[tuple[float, float, float]] = field(default_factory=lambda: deque(maxlen=MOST_PLACES))
     """East, north, and how far away it may have been since the place before."""
+    track: Array = field(default_factory=lambda: np.empty((0, 3)))
+    """As it told them itself, the latest time."""
     heard_ns: Stamp | None = None
 
 
 class Guard:
     """See the module's text. Not for two threads at once."""
 
-    def __init__(self, map_: MapId, quotas: Quotas | None = None, policy: Policy | None = None) -> None:
+    def __init__(self, map_: MapId, quotas: Quotas | None = None, policy: Allows | None = None) -> None:
         self.quotas, self.policy = quotas or Quotas(), policy or Policy()
         self.counts: Counter[str] = Counter()
         self._map = map_
@@ -128,6 +137,13 @@ class Guard:
             if hypot(east_m - east, north_m - north) + away_m < self.quotas.reach_m / NEAR:
                 return
         own.places.append((float(east_m), float(north_m), away_m))
+
+    def track(self, robot: str, places_m: Array, spacing_m: float) -> None:
+        """Robot `robot` says that it came by these places (K, 2), east and north, each so far from the one before: for
+        a node that has not heard where it was. The last `MOST_PLACES` count, in place of those told before."""
+        if (own := self._known(robot)) is not None:
+            some = np.asarray(places_m, np.float64)[-MOST_PLACES:]
+            own.track = np.column_stack([some, np.full(len(some), min(spacing_m / 2, self.quotas.reach_m))])
 
     def remember(self, robot: str, tiles: Iterable[TileKey]) -> None:
         """These the robot has reported already: what a store holds when a node starts."""
@@ -195,14 +211,14 @@ class Guard:
         return "clock" if max(newest, delta.stamp_ns) > now_ns + self.quotas.ahead_s * SECOND_NS else None
 
     def _spent(self, sender: str, nbytes: int, now_ns: Stamp) -> str | None:
-        """Take the bytes out of the sender's bucket, if they are in it."""
+        """Take the bytes out of the sender's bucket, if they are in it; or it is full, and will be in debt."""
         most = self.quotas.bytes_per_s * self.quotas.burst_s
         if isinf(most):
             return None
         bucket = self._buckets.setdefault(sender, _Bucket(most, now_ns))
         since_s = max(now_ns - bucket.at_ns, 0) / SECOND_NS
         allowed = min(bucket.allowed + since_s * self.quotas.bytes_per_s, most)
-        if nbytes > allowed:
+        if nbytes > allowed < most:
             return "rate"
         bucket.allowed, bucket.at_ns = allowed - nbytes, max(now_ns, bucket.at_ns)
         return None
@@ -216,13 +232,13 @@ class Guard:
             return "area"
         if isinf(self.quotas.reach_m) or not keys:
             return None
-        if not own.places:
+        if not own.places and not len(own.track):
             return "place"
         return "distance" if (self._apart_m(own, keys) > self.quotas.reach_m).any() else None
 
     def _apart_m(self, own: _Robot, keys: set[TileKey]) -> Array:
         """(K,) metres from each tile's near edge to the nearest of where the robot was, or may have been."""
         corners = np.array([(key.x, key.y) for key in keys], np.float64)[:, None] * self._map.tile_m
-        places = np.array(own.places)
+        places = np.concatenate([own.track, np.reshape(own.places, (-1, 3))])
         nearest = np.clip(places[:, :2], corners, corners + self._map.tile_m)
         return np.asarray((np.linalg.norm(places[:, :2] - nearest, axis=2) - places[:, 2]).min(axis=1))

@@ -14,7 +14,7 @@ from terrafuse.exchange.growth import Growth
 from terrafuse.exchange.known import Claim, Known
 from terrafuse.exchange.own import LIFE, Own
 from terrafuse.exchange.parts import newer
-from terrafuse.exchange.piece import Piece, unpack_claim
+from terrafuse.exchange.piece import Piece, in_topic, unpack_claim
 from terrafuse.types import TileKey
 
 
@@ -89,8 +89,9 @@ class Holding:
         assert self.own is not None
         return self.channel.project(self.own.delta(since))
 
-    def apply(self, sender: str, piece: Piece, now_ns: int) -> bool:
+    def apply(self, sender: str, about: str, piece: Piece, now_ns: int) -> bool:
         """Take tiles into the store, unless they are known, refused, or leave a gap: what is held never has one.
+        `about`: the robot that the topic names.
 
         False for what may be taken if it comes again. Raises CodecError for bytes that are none.
         """
@@ -103,9 +104,9 @@ class Holding:
         delta = decode(piece.delta, self.store.model.cell)
         if len(piece.sinces) not in (1, len(delta.tiles)):
             raise CodecError(f"{len(piece.sinces)} revisions for {len(delta.tiles)} tiles")
-        if (reason := self._refusal(sender, delta, now_ns)) is not None:
+        if (reason := self._refusal(sender, about, delta, now_ns, len(piece.delta))) is not None:
             self._counts[f"refused.{reason}"] += 1
-            return True
+            return False
         known = self.of(delta.robot)
         sinces = piece.sinces * len(delta.tiles) if len(piece.sinces) == 1 else piece.sinces
         fresh = [
@@ -131,9 +132,11 @@ class Holding:
             base = 0 if self.channel.near else self.store.level(robot)
             self.known[robot] = Known(base, {key: revision for key, revision in tiles.items() if revision > base})
 
-    def _refusal(self, sender: str, delta: Delta, now_ns: int) -> str | None:
+    def _refusal(self, sender: str, about: str, delta: Delta, now_ns: int, nbytes: int) -> str | None:
+        if in_topic(delta.robot) != about:  # carriers bind topics to who may send on them
+            return "topic"
         guard = self.channel.guard
-        return guard(sender, delta, now_ns) if guard is not None else None
+        return guard(sender, delta, now_ns, nbytes) if guard is not None else None
 
     def _take(self, known: Known, delta: Delta, fresh: list[TileCells], piece: Piece) -> None:
         """Into the store first, and only then among what is known."""

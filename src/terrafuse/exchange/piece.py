@@ -12,6 +12,8 @@ A message is msgpack, an array of
 
 from __future__ import annotations
 
+import re
+
 import msgspec
 
 from terrafuse.errors import CodecError
@@ -20,6 +22,11 @@ from terrafuse.exchange.known import Claim
 from terrafuse.types import TileKey
 
 MOST_NEEDS = 1 << 16
+NOT_IN_TOPICS = re.compile(r"[/*$#?+\x00-\x1f\x7f]")
+
+
+def in_topic(robot: str) -> str:
+    return NOT_IN_TOPICS.sub("_", robot)
 
 
 class Piece(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
@@ -40,7 +47,7 @@ def decode_piece(message: bytes) -> Piece:
     """Bytes → piece. Raises CodecError for anything else; the delta stays packed."""
     try:
         piece = _decode(message)
-    except (msgspec.DecodeError, msgspec.ValidationError) as error:
+    except ValueError as error:
         raise CodecError(f"a piece that can't be read: {error}") from error
     if piece.claim is not None:
         _check_claim(*piece.claim)

@@ -40,7 +40,7 @@ def decode_post(message: bytes) -> Post:
     """Bytes → post. Raises CodecError for anything else."""
     try:
         return _decode(message)
-    except (msgspec.DecodeError, msgspec.ValidationError) as error:
+    except ValueError as error:
         raise CodecError(f"a post that can't be read: {error}") from error
 
 

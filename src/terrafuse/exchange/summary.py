@@ -139,7 +139,7 @@ def unpack(message: bytes) -> Summary:
     """Bytes → summary. Raises OtherVersion for one of another protocol, CodecError for anything else."""
     try:
         return _checked(_decode(message))
-    except (msgspec.DecodeError, msgspec.ValidationError) as error:
+    except ValueError as error:
         _refuse_other_version(message)
         raise CodecError(f"a summary that can't be read: {error}") from error
 
@@ -154,7 +154,7 @@ def _refuse_other_version(message: bytes) -> None:
     """Later protocols may say what they like after their version."""
     try:
         version, *_ = _decode_any(message)
-    except (msgspec.DecodeError, msgspec.ValidationError, ValueError):
+    except ValueError:
         return
     if type(version) is int and version != VERSION and 0 <= version < 1 << 16:
         raise OtherVersion(version)

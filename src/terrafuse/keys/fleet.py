@@ -160,7 +160,7 @@ def read_roster(path: Path) -> Roster:
     text = _read(path)
     try:
         roster = msgspec.json.decode(text, type=Roster)
-    except msgspec.DecodeError as error:
+    except ValueError as error:
         raise InputError(f"{path}: damaged ({error}); take a copy from the fleet's folder") from error
     if roster.version != 1:
         raise InputError(f"{path}: of version {roster.version}, and this terrafuse reads 1; update it")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from terrafuse.errors import InputError
@@ -16,6 +16,8 @@ from terrafuse.exchange.delta import map_id
 from terrafuse.exchange.links import Link
 from terrafuse.lattice import Lattice
 from terrafuse.models.base import Model
+from terrafuse.services.places import PLACE, PLACE_S, STILL_S, TRACK, TRACK_S, Place, Track, encode
+from terrafuse.services.places import Told as Way
 from terrafuse.services.ports import Handover, Letter, Letterbox, letter_from
 from terrafuse.services.service import SECOND_NS, Contract, Message, Service
 from terrafuse.store.base import Store
@@ -44,13 +46,19 @@ class Told:
     handover: Handover
     coarse: Store | None = None
     """Of this service alone: what came by the handover."""
+    track: Track = field(default_factory=Track)
+
+
+def unheard(sender: str, kind: str, payload: bytes, now_ns: int) -> bool:
+    return False
 
 
 class Exchange(Service):
     """Owns the node's link and courier.
 
     `stations`: whom it asks to take its map, and waits for: it is done when all of it is there, and nothing more comes.
-    `deliver(service, message)` hands a message of another node to a service of this one.
+    `deliver(service, message)` hands a message of another node to a service of this one; but first it is for
+    `hear(sender, kind, payload, now_ns)`, which says whether it was, and raises ValueError for what is none.
     """
 
     def __init__(
@@ -65,12 +73,16 @@ class Exchange(Service):
         *,
         peers: Sequence[str] | None = None,
         told: Told | None = None,
+        hear: Callable[[str, str, bytes, int], bool] = unheard,
     ) -> None:
         super().__init__()
         self.contract = contract_of(name)
         self.stations = tuple(peers or ()) if told else ()
         self.partners = ("mapping", *(f"{station}/{MAP_MANAGER}" for station in self.stations)) if told else ()
-        self._about, self._letters, self._deliver, self._told = about, letters, deliver, told
+        self._about, self._letters, self._deliver, self._told, self._hear = about, letters, deliver, told, hear
+        self._place: Place | None = None
+        self._way: Way | None = None
+        self._place_ns = self._way_ns = 0
         self._channels = channels()
         self._link = link()
         try:
@@ -92,6 +104,7 @@ class Exchange(Service):
         self._take_coarse()
         for letter in self._letters.take():
             self._write(letter)
+        self._tell_place(now_ns)
         self._courier.tick(now_ns)
         if self._told is not None and self.stations:
             self._look_whether_done(self._told, now_ns)
@@ -124,7 +137,32 @@ class Exchange(Service):
     def close(self) -> None:
         self._link.close()
 
+    def _tell_place(self, now_ns: int) -> None:
+        """Where the robot is, and now and then by what way it came there."""
+        place = None if self._told is None else self._told.track.latest
+        if self._told is None or place is None:
+            return
+        patience_s = PLACE_S if place != self._place else STILL_S
+        if now_ns - self._place_ns >= patience_s * SECOND_NS:
+            self._place_ns, self._place = now_ns, place
+            self._tell(PLACE, encode(place))
+        if now_ns - self._way_ns >= TRACK_S * SECOND_NS:
+            self._way_ns, way = now_ns, self._told.track.told()
+            if way != self._way:
+                self._way = way
+                self._tell(TRACK, encode(way))
+
+    def _tell(self, kind: str, payload: bytes) -> None:
+        for station in self.stations:
+            self._courier.post(station, kind, payload)
+
     def _bring(self, sender: str, kind: str, payload: bytes) -> None:
+        try:
+            if self._hear(sender, kind, payload, self._now_ns):
+                return
+        except ValueError:
+            self.counts["refused.place"] += 1
+            return
         letter = letter_from(sender, kind, payload)
         if letter is None or not self._deliver(letter.service, letter.message):
             self.counts["refused.letter"] += 1

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from terrafuse.errors import StoreMismatch
 from terrafuse.exchange.courier import Channel, CourierSettings
-from terrafuse.exchange.delta import Delta, map_id
-from terrafuse.exchange.guard import Guard
+from terrafuse.exchange.delta import map_id
 from terrafuse.lattice import Lattice
 from terrafuse.mapping import open_partial, plan, tile_for
 from terrafuse.models import make_model
@@ -18,6 +17,7 @@ from terrafuse.models.base import Model
 from terrafuse.services.carriers import Carrier
 from terrafuse.services.directory import DIRECTORY, Directory
 from terrafuse.services.exchange import EXCHANGE, MAP_MANAGER, About, Exchange, Told
+from terrafuse.services.gate import Gate
 from terrafuse.services.held import Held
 from terrafuse.services.mapping import Mapping
 from terrafuse.services.ports import Handover, Letterbox, ScanPort
@@ -79,15 +79,18 @@ def station(settings: FleetSettings, carrier: Carrier) -> Node:
     pace = _pace(part.bytes_per_s)
     about = About(store.map.lattice, store.model)
 
+    maps = {FINE: store} if coarse is None else {COARSE: coarse, FINE: store}
+    keys = None if settings.link.keys is None else settings.link.keys.replace("{node}", part.name)
+    gate = Gate(list(maps.values()), part.quotas, keys)
+
     def channels() -> Sequence[Channel]:
-        fine = Channel(FINE, store, relay=True, guard=_guard(store))
-        return [fine] if coarse is None else [Channel(COARSE, coarse, relay=True, guard=_guard(coarse)), fine]
+        return [gate.channel(name, which, map_) for which, (name, map_) in enumerate(maps.items())]
 
     link = carrier(part.name)
     specs = [
         Spec(
             MAP_MANAGER,
-            lambda: Exchange(MAP_MANAGER, about, link, channels, pace, letters, supervisor.send),
+            lambda: Exchange(MAP_MANAGER, about, link, channels, pace, letters, supervisor.send, hear=gate.hear),
             restarts=ALWAYS,
         ),
         *_common("terrafuse/mapping-orchestration", lambda: supervisor, part.name, letters, (), pace.bytes_per_s),
@@ -121,7 +124,7 @@ def robot(settings: FleetSettings, name: str, carrier: Carrier) -> Node:
 
     link = carrier(name)
     specs = [
-        Spec("source", lambda: Source(run, name, port, part.realtime), thread="mapping"),
+        Spec("source", lambda: Source(run, name, port, part.realtime, told.track), thread="mapping"),
         Spec("mapping", lambda: Mapping(run, name, archive, port, handover), thread="mapping"),
         Spec(
             EXCHANGE,
@@ -155,14 +158,6 @@ def _common(
         ),
         Spec(ORCHESTRATION, lambda: Orchestration(contract, supervisor), restarts=ALWAYS),
     ]
-
-
-def _guard(store: Store) -> Callable[[str, Delta, int], str | None]:
-    """What a station lets in: of each node its own robot's reports, of this map, not of the future, within quotas."""
-    guard = Guard(store.map)
-    for name in store.robots():
-        guard.remember(name, store.revisions(name))
-    return guard.check
 
 
 def _pace(bytes_per_s: float | None) -> CourierSettings:

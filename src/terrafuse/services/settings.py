@@ -40,11 +40,23 @@ class LinkPart(Part):
     """No encryption, no identity."""
 
 
+class QuotasPart(Part):
+    """What a station takes of a robot at most; see docs/services.md."""
+
+    bytes_per_s: float = Field(default=5e6, gt=0)
+    """Of reports, over half a minute."""
+    tiles: int = Field(default=20_000, gt=0)
+    """Altogether."""
+    distance_m: float | None = Field(default=None, gt=0)
+    """From where the robot says it was to the near edge of a tile; None: anywhere."""
+
+
 class StationPart(Part):
     name: str = Field(STATION, pattern=NAME)
     store: str
     """The file of its map."""
     bytes_per_s: float | None = Field(None, gt=0)
+    quotas: QuotasPart = QuotasPart()
 
 
 class RobotPart(Part):

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from terrafuse.logs.base import Log, Record
-from terrafuse.mapping import Plan, prepared
+from terrafuse.mapping import Plan, placed, prepared
+from terrafuse.services.places import Track
 from terrafuse.services.ports import ScanPort
 from terrafuse.services.service import IDLE_S, SECOND_NS, Contract, Message, Service
 from terrafuse.types import Scan
@@ -17,15 +18,19 @@ AT_A_TIME = 64
 
 
 class Source(Service):
-    """Gives the plan's robot's scans to a port, as fast as they are taken, or at the pace of their stamps."""
+    """Gives the plan's robot's scans to a port, as fast as they are taken, or at the pace of their stamps; and to a
+    track where they were taken."""
 
     contract = Contract("terrafuse/source", 1, frozenset({"pause", "resume"}))
     partners = ("mapping",)
 
-    def __init__(self, run: Plan, robot: str, port: ScanPort, realtime: bool = False) -> None:
+    def __init__(
+        self, run: Plan, robot: str, port: ScanPort, realtime: bool = False, track: Track | None = None
+    ) -> None:
         super().__init__()
         self._run, self._robot, self._port, self._realtime = run, robot, port, realtime
         self._log: Log = run.logs[robot]
+        self._track = track or Track()
         self._life = 0
         self._records: Iterator[Record] = iter(())
         self._passed_over = 0
@@ -54,7 +59,9 @@ class Source(Service):
             return IDLE_S
         if self._realtime and (wait_s := self._early_s(self._next.stamp_ns, now_ns)) > 0:
             return wait_s
-        self._port.put(self._life, prepared(self._run, self._robot, self._next))
+        scan = prepared(self._run, self._robot, self._next)
+        self._track.add(scan)
+        self._port.put(self._life, scan)
         self._next = None
         return 0.0
 
@@ -80,9 +87,11 @@ class Source(Service):
     def _pass_over(self) -> float:
         """Scans that the map holds already."""
         for _ in range(min(AT_A_TIME, self._after - self._passed_over)):
-            if self._read() is None:
+            scan = self._read()
+            if scan is None:
                 self._after = self._passed_over  # fewer than the map holds: the mapping says what that means
                 break
+            self._track.add(placed(scan, self._log, self._run.settings))
             self._passed_over += 1
         return 0.0
 

@@ -1,0 +1,96 @@
+"""What a station lets in: a guard for each of its maps, and what those have to know of robots and of keys."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf
+from pathlib import Path
+
+import numpy as np
+
+from terrafuse.errors import InputError
+from terrafuse.exchange.channel import Channel
+from terrafuse.exchange.framing import Limits
+from terrafuse.exchange.guard import Allows, Guard, Policy, Quotas
+from terrafuse.services.places import PLACE, TRACK, decode_place, decode_track
+from terrafuse.services.settings import QuotasPart
+from terrafuse.store.base import Store
+
+MESSAGE_CELLS = 1 << 17
+"""A message of one tile may have all of it, however many cells that are."""
+
+
+class Gate:
+    """`keys`: the folder of the station's keys; None: each node may report itself."""
+
+    def __init__(self, stores: Sequence[Store], quotas: QuotasPart, keys: str | None) -> None:
+        policy: Allows = Policy() if keys is None else Roll(Path(keys))
+        self._guards = [_guard(store, quotas, policy) for store in stores]
+
+    def channel(self, name: str, which: int, store: Store) -> Channel:
+        """The channel of a map, which is passed on, too."""
+        guard = self._guards[which]
+        return Channel(name, store, relay=True, guard=guard.check, screen=guard.screen)
+
+    def hear(self, sender: str, kind: str, payload: bytes, now_ns: int) -> bool:
+        """Where a robot says that it is, or was; whether the message was of that kind. Raises ValueError for others."""
+        if kind == PLACE:
+            place = decode_place(payload)
+            for guard in self._guards:
+                guard.place(sender, place.east_m, place.north_m, now_ns)
+        elif kind == TRACK:
+            track = decode_track(payload)
+            places = np.reshape(np.array(track.places_m, np.float64), (-1, 2))
+            for guard in self._guards:
+                guard.track(sender, places, track.spacing_m)
+        return kind in (PLACE, TRACK)
+
+
+class Roll:
+    """Who may report whom, by the `fleet.json` beside a station's keys, as it is by now: stations and relays."""
+
+    def __init__(self, folder: Path) -> None:
+        self._file = folder / "fleet.json"
+        self._seen: tuple[int, int] | None = None
+        self._stations: frozenset[str] = frozenset()
+        self._reports: dict[str, frozenset[str]] = {}
+
+    def allows(self, node: str, robot: str) -> bool:
+        self._look()
+        return node in self._reports and (node in self._stations or robot in self._reports[node])
+
+    def _look(self) -> None:
+        """What can't be read leaves what was before; the link tells of it."""
+        try:
+            status = self._file.stat()
+            seen = (status.st_mtime_ns, status.st_ino)
+            if seen != self._seen:
+                self._read()
+                self._seen = seen
+        except (OSError, InputError):
+            pass
+
+    def _read(self) -> None:
+        from terrafuse.keys.fleet import read_roster
+
+        members = [member for member in read_roster(self._file).members if not member.revoked]
+        self._stations = frozenset(member.name for member in members if member.station)
+        self._reports = {member.name: frozenset({member.name, *member.relay_for}) for member in members}
+
+
+def _guard(store: Store, quotas: QuotasPart, policy: Allows) -> Guard:
+    cells = store.map.lattice.tile_cells**2
+    guard = Guard(
+        store.map,
+        Quotas(
+            message_bytes=Limits().message_bytes,
+            message_cells=max(MESSAGE_CELLS, cells),
+            bytes_per_s=quotas.bytes_per_s,
+            tiles=quotas.tiles,
+            reach_m=inf if quotas.distance_m is None else quotas.distance_m,
+        ),
+        policy,
+    )
+    for name in store.robots():
+        guard.remember(name, store.revisions(name))
+    return guard

@@ -114,6 +114,9 @@ def robot(
         str | None,
         typer.Option(help="Which map of the fleet it holds: coarse, fine or none.  [default: the coarsest there is]"),
     ] = None,
+    precision: Annotated[
+        str, typer.Option(help="Of what it reports: exact, full (all layers rounded) or lean (height and confidence).")
+    ] = "exact",
     station_name: StationName = "station",
     budget: Budget = None,
     realtime: Annotated[bool, typer.Option("--realtime", help="Scans come when their stamps say so.")] = False,
@@ -131,6 +134,8 @@ def robot(
 
     if share not in (None, "coarse", "fine", "none"):
         raise InputError(f"--share {share}: give coarse, fine or none")
+    if precision not in ("exact", "full", "lean"):
+        raise InputError(f"--precision {precision}: give exact, full or lean")
     if share == "coarse" and global_factor == 1:
         raise InputError("--share coarse: there is a coarse map only with a --global-factor over 1")
     about = _map(
@@ -139,7 +144,7 @@ def robot(
     )  # fmt: skip
     part = RobotPart(
         source=source, store=str(_path(store or f"{name}.db")), sensor=sensor, realtime=realtime,
-        share=share, bytes_per_s=arguments.positive("--budget", budget, "bytes"),  # type: ignore[arg-type]
+        share=share, precision=precision, bytes_per_s=arguments.positive("--budget", budget, "bytes"),  # type: ignore[arg-type]
     )  # fmt: skip
     link = _link(connect=tuple(connect), keys=keys, insecure=insecure, kind=LinkPart)
     return _run(_settings(map=about, link=link, stations=(station_name,), robots={name: part}), [name], json)

@@ -21,6 +21,7 @@ from terrafuse.services.gate import Gate
 from terrafuse.services.held import Held
 from terrafuse.services.mapping import Mapping
 from terrafuse.services.ports import Handover, Letterbox, ScanPort
+from terrafuse.services.precision import keep_to, projection
 from terrafuse.services.service import DONE, Status
 from terrafuse.services.settings import FleetSettings
 from terrafuse.services.simulated import source_text
@@ -109,6 +110,8 @@ def robot(settings: FleetSettings, name: str, carrier: Carrier) -> Node:
     run = plan({name: source_text(part.source, name)}, settings.map.model_copy(update={"sensors": sensors}))
     files = ExitStack()
     archive = files.enter_context(open_partial(Path(part.store), run))
+    keep_to(part.precision, Path(part.store), archive)
+    project = projection(part.precision, run.model)
     factor = settings.map.global_factor
     share = part.share or (COARSE if factor > 1 else FINE)
     port, handover, letters = ScanPort(), Handover(), Letterbox()
@@ -119,8 +122,10 @@ def robot(settings: FleetSettings, name: str, carrier: Carrier) -> Node:
     whole = MemoryStore(run.lattice.coarser(factor), run.model) if share == COARSE and factor > 1 else None
 
     def channels() -> Sequence[Channel]:
-        fine = Channel(FINE, replica, Held(archive, name, archive.unchanged))
-        return [fine] if told.coarse is None else [Channel(COARSE, whole, Held(told.coarse, name)), fine]
+        fine = Channel(FINE, replica, Held(archive, name, archive.unchanged), project=project)
+        if told.coarse is None:
+            return [fine]
+        return [Channel(COARSE, whole, Held(told.coarse, name), project=project), fine]
 
     link = carrier(name)
     specs = [

@@ -68,6 +68,8 @@ class RobotPart(Part):
     realtime: bool = False
     share: Literal["coarse", "fine", "none"] | None = None
     """Which map of the whole fleet the robot holds; None: the coarse one, where there is one, else the fine one."""
+    precision: Literal["exact", "full", "lean"] = "exact"
+    """Of what it reports: docs/delta-format.md."""
     bytes_per_s: float | None = Field(None, gt=0)
 
 

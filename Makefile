@@ -50,6 +50,7 @@ format: setup
 
 bench: setup
 	$(BIN)/python -m bench
+	$(BIN)/python -m bench.exchange
 	$(BIN)/python -m bench.patrol
 	$(BIN)/python -m bench.physics
 	$(BIN)/python -m bench.plan

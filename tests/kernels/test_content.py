@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terrafuse.kernels import content, evidence
+from terrafuse.kernels import absorb, content, evidence
 from terrafuse.types import Array
 
 AREA = 9
@@ -25,6 +25,13 @@ def test_flaws_equal_the_reference(seed: int, counts: list[int]) -> None:
     assert content.flaw_of(*given_) == content.flaw_of_reference(*given_)
 
 
+@given(seed=st.integers(0, 2**31), count=st.integers(0, 5))
+def test_newest_are_the_largest(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    revisions, stamps = rng.integers(1, 2**32, count).astype(np.uint32), rng.integers(0, 2**62, count)
+    assert content.newest_of(revisions, stamps) == (revisions.max(initial=0), stamps.max(initial=0))
+
+
 def test_each_flaw_is_named() -> None:
     starts, one = np.zeros(1, np.int64), np.ones(2, np.uint32)
     rising, stamps = np.array([3, 4], np.int32), np.zeros(2, np.int64)
@@ -35,21 +42,26 @@ def test_each_flaw_is_named() -> None:
     assert content.flaw_of(starts, rising, one, stamps - 1, AREA, 1) == content.STAMPS
 
 
-@given(seed=st.integers(0, 2**31), count=st.integers(1, 6), zeros_too=st.booleans())
-def test_consistent_sums_equal_the_reference(seed: int, count: int, zeros_too: bool) -> None:
+@given(seed=st.integers(0, 2**31), count=st.integers(1, 6))
+def test_sound_elevation_cells_are_those_of_the_reference(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
-    records = np.array([sums(rng) for _ in range(count)], evidence.EVIDENCE)
+    cells = np.zeros(count, absorb.CELL)
+    grounds = cells.view(absorb.GROUND_OF_CELL)
+    for k in range(count):
+        for records in (cells, grounds) if rng.random() < 0.5 else (cells,):
+            for field, value in zip(evidence.EVIDENCE.names or (), sums(rng), strict=True):
+                records[field][k] = value
+    cells["merges"] = 1
     if rng.random() < 0.5:
-        records[rng.integers(count)] = 0
-    if rng.random() < 0.5:
-        field = rng.choice(records.dtype.names)
-        records[rng.integers(count)][field] += rng.integers(0, 3)
-    assert evidence.all_consistent(records, zeros_too) == all_consistent_reference(records, zeros_too)
+        field = rng.choice(cells.dtype.names)
+        cells[field][rng.integers(count)] += rng.integers(0, 3)
+    assert absorb.sound(cells, grounds) == sound_reference(cells, grounds)
 
 
-def all_consistent_reference(records: Array, zeros_too: bool) -> bool:
-    none = (records == np.zeros((), records.dtype)) & zeros_too
-    return bool((none | evidence.consistent(records)).all())
+def sound_reference(cells: Array, grounds: Array) -> bool:
+    none = grounds == np.zeros((), grounds.dtype)
+    ground = none | evidence.consistent(grounds)
+    return bool((evidence.consistent(cells) & ground & (cells["changes"] < cells["merges"])).all())
 
 
 def sums(rng: np.random.Generator) -> tuple[int, ...]:

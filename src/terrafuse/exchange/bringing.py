@@ -64,7 +64,7 @@ class Bringer:
                 self._repair(peer, known)
         if reporting and not self._holding.channel.near:
             self._reports += 1
-            for robot in self._holding.told:
+            for robot in self._holding.told if self._peers else ():
                 self._level(robot)
 
     def behind(self, peer: Peer | None) -> dict[str, int]:

@@ -16,6 +16,8 @@ SUSPECT_S = 600.0
 """For so long after a robot lost count it is looked at, quiet or not."""
 MOST_AT_ONCE = 1
 """Tiles looked at in a tick."""
+LOOK_NS = SECOND_NS // 5
+"""Until it is looked again whether there is any, if there was none."""
 
 
 class Comparing:
@@ -30,6 +32,7 @@ class Comparing:
         self._quiet_ns = QUIET_PERIODS * settings.period_s * SECOND_NS
         self._patience_ns = 2 * settings.period_s * SECOND_NS
         self._changed_ns: dict[str, int] = {}
+        self._look_ns = 0
         self._until_ns: dict[str, float] = {}
         """Until when a robot is looked at, quiet or not."""
         self._told: dict[tuple[str, str], tuple[float, float]] = {}
@@ -45,10 +48,14 @@ class Comparing:
         self._until_ns |= dict.fromkeys(self._holding.reborn, now_ns + SUSPECT_S * SECOND_NS)
         self._holding.changed.clear()
         self._holding.reborn.clear()
+        if now_ns < self._look_ns or self._holding.channel.near:
+            return
         left = MOST_AT_ONCE
-        for robot in [] if self._holding.channel.near else self._contents.stale:
+        for robot in self._contents.stale:
             if left and self._compared(robot, now_ns):
                 left -= self._contents.find(robot, left)
+        if left:
+            self._look_ns = now_ns + LOOK_NS
 
     def roots(self, robots: Iterable[str], now_ns: int) -> dict[str, int]:
         """To be told to peers, of those that are to be compared and were looked at."""

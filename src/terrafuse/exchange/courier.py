@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import ExitStack
 
 from terrafuse.errors import CodecError, InputError
 from terrafuse.exchange.asking import Answerer, Question
@@ -136,7 +137,7 @@ class Courier:
                 holding.begin()
         self._now_ns = now_ns
         self.namesakes = self._lives.namesakes(now_ns)
-        heard = {name for frame in self._link.receive(now_ns) if (name := self._receive(frame))}
+        heard = self._take_in(self._link.receive(now_ns))
         reporting = now_ns >= self._report_ns
         if reporting:
             self._report_ns = now_ns + round(self.settings.period_s * SECOND_NS)
@@ -144,7 +145,8 @@ class Courier:
                 holding.take_own()
         reached = [] if self.node in self.namesakes else [self._peers[name] for name in self.reached(now_ns)]
         for peer in reached:
-            self._posts.bring(peer, self._born_ns)
+            if peer.posts:
+                self._posts.bring(peer, self._born_ns)
         for comparing in self._comparing.values():
             comparing.tick(now_ns)
         for bringer in self._bringers.values():
@@ -203,6 +205,15 @@ class Courier:
             if holding.store is not None:
                 self._link.listen(f"delta/{channel}")
                 self._link.listen(f"tiles/{channel}")
+
+    def _take_in(self, frames: Collection[Frame]) -> set[str]:
+        """Names of peers who said something new. What this node then says that it holds, or passes on, is there for
+        good: all that came at once is made to last at once."""
+        with ExitStack() as lasting:
+            for holding in self._holdings.values() if frames else ():
+                if holding.store is not None:
+                    lasting.enter_context(holding.store.together())
+            return {name for frame in frames if (name := self._receive(frame))}
 
     def _receive(self, frame: Frame) -> str | None:
         """The name of the peer whose summary it was, if it was one."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -35,7 +36,12 @@ class MapId:
 
     @property
     def lattice(self) -> Lattice:
-        return Lattice(self.resolution_m, self.tile_m, self.crs)
+        return _lattice(self.resolution_m, self.tile_m, self.crs)
+
+
+@lru_cache(64)
+def _lattice(resolution_m: float, tile_m: float, crs: str | None) -> Lattice:
+    return Lattice(resolution_m, tile_m, crs)
 
 
 def map_id(model: str, lattice: Lattice) -> MapId:
@@ -49,6 +55,12 @@ class TileCells:
     key: TileKey
     at: Array
     cells: Array
+
+    @cached_property
+    def newest(self) -> tuple[int, Stamp]:
+        """The largest revision, and the largest stamp, of its cells."""
+        revision, stamp = content.newest_of(self.cells["revision"], self.cells["stamp"])
+        return int(revision), int(stamp)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,13 +120,17 @@ def check_cells(delta: Delta) -> None:
                 raise DeltaError(f"tile {tuple(tile.key)} has {flaw}")
 
 
+def together(cells: Sequence[Array]) -> Array:
+    """Some tiles' cells, (K,) each, one after the other."""
+    if len(cells) == 1:
+        return cells[0]
+    return np.concatenate([opaque(some) for some in cells]).view(cells[0].dtype)
+
+
 def _together(tiles: Sequence[TileCells]) -> tuple[Array, Array, Array]:
     """Where tiles begin, and the positions and cells of all."""
-    if len(tiles) == 1:
-        return np.zeros(1, np.int64), tiles[0].at, tiles[0].cells
     starts = np.cumsum([0, *(len(tile.at) for tile in tiles[:-1])])
-    cells = np.concatenate([opaque(tile.cells) for tile in tiles]).view(tiles[0].cells.dtype)
-    return starts, np.concatenate([tile.at for tile in tiles]), cells
+    return starts, np.concatenate([tile.at for tile in tiles]), together([tile.cells for tile in tiles])
 
 
 def _flaw(starts: Array, at: Array, cells: Array, delta: Delta) -> str | None:

@@ -207,7 +207,7 @@ class Guard:
         return "size" if cells > self.quotas.message_cells else None
 
     def _late(self, delta: Delta, now_ns: Stamp) -> str | None:
-        newest = max((int(tile.cells["stamp"].max()) for tile in delta.tiles), default=0)
+        newest = max((tile.newest[1] for tile in delta.tiles), default=0)
         return "clock" if max(newest, delta.stamp_ns) > now_ns + self.quotas.ahead_s * SECOND_NS else None
 
     def _spent(self, sender: str, nbytes: int, now_ns: Stamp) -> str | None:

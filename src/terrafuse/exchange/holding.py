@@ -145,13 +145,13 @@ class Holding:
         for tile in fresh:
             ahead.learn(tile.key, piece.until)
         claim = self._followed(ahead, delta.robot, piece, [tile.key for tile in delta.tiles])
-        some = _piece(delta, fresh)
+        some, message = _piece(delta, fresh), piece.delta if len(fresh) == len(delta.tiles) else None
         try:
             if claim is not None and some.revision <= claim.until:
-                self.store.accept(replace(some, since=known.base, revision=claim.until))
+                self.store.accept(replace(some, since=known.base, revision=claim.until), message=message)
             else:
                 if fresh:
-                    self.store.accept(some)
+                    self.store.accept(some, message=message)
                 if claim is not None:
                     self.store.accept(replace(some, since=known.base, revision=claim.until, tiles=()))
         except DeltaError:
@@ -180,11 +180,11 @@ class Holding:
 
     def _note(self, robot: str, tiles: Collection[TileCells]) -> None:
         known = self.tiles.setdefault(robot, {})
-        newest = max(known.values(), default=0)
-        if any(tile.cells["revision"].max() // LIFE > newest // LIFE for tile in tiles) and newest:
+        life = max((tile.newest[0] for tile in tiles), default=0) // LIFE
+        if known and life and life > max(known.values()) // LIFE:
             self.reborn.add(robot)
         for tile in tiles:
-            known[tile.key] = max(known.get(tile.key, 0), int(tile.cells["revision"].max()))
+            known[tile.key] = max(known.get(tile.key, 0), tile.newest[0])
         if self.store is not None and tiles:
             keys = [tile.key for tile in tiles]
             self.changed.setdefault(robot, set()).update(keys)
@@ -200,5 +200,5 @@ class Holding:
 def _piece(delta: Delta, tiles: Iterable[TileCells]) -> Delta:
     """These tiles as a delta that leads nowhere."""
     some = tuple(tiles)
-    newest = max((int(tile.cells["revision"].max()) for tile in some), default=0)
+    newest = max((tile.newest[0] for tile in some), default=0)
     return replace(delta, since=newest, revision=newest, tiles=some)

@@ -47,7 +47,7 @@ class Wants:
     def _lacks(self, peers: list[tuple[Peer, PeerChannel]]) -> dict[tuple[str, TileKey], int]:
         """By robot and tile, up to where those who lack it hold it."""
         lacks: dict[tuple[str, TileKey], int] = {}
-        for robot, ours in self._holding.told.items():
+        for robot, ours in self._holding.told.items() if peers else ():
             tiles = self._holding.tiles.get(robot, {}).items()
             for peer, known in peers:
                 theirs = known.of(robot)

@@ -15,6 +15,8 @@ from terrafuse.kernels.evidence import (
     TICKS_PER_M,
     TWO_64,
     add,
+    is_consistent,
+    is_zero,
     mean_m,
     mean_ticks,
     take,
@@ -152,6 +154,17 @@ def copy_surface(to, of):
     to.revision = of.revision
     to.changes = of.changes
     to.merges = of.merges
+
+
+@njit(cache=True, nogil=True)
+def sound(cells, grounds):
+    """Whether points can have made these (K,) CELLs; grounds is the same memory as GROUND_OF_CELL."""
+    for k in range(cells.shape[0]):
+        if cells[k].changes >= cells[k].merges or not is_consistent(cells[k]):
+            return False
+        if not (is_zero(grounds[k]) or is_consistent(grounds[k])):
+            return False
+    return True
 
 
 @njit(cache=True, nogil=True)

@@ -28,6 +28,15 @@ def flaw_of(starts, at, revisions, stamps, area, newest):
     return REVISIONS if bad_revision else STAMPS if bad_stamp else SOUND
 
 
+@njit(cache=True, nogil=True)
+def newest_of(revisions, stamps):
+    """The largest revision and the largest stamp; 0 of none."""
+    revision, stamp = np.int64(0), np.int64(0)
+    for k in range(revisions.shape[0]):
+        revision, stamp = max(revision, np.int64(revisions[k])), max(stamp, stamps[k])
+    return revision, stamp
+
+
 def flaw_of_reference(starts: Array, at: Array, revisions: Array, stamps: Array, area: int, newest: int) -> int:
     """What `flaw_of` must equal."""
     steps = np.diff(at.astype(np.int64), prepend=-1)

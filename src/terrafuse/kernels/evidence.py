@@ -70,23 +70,23 @@ def consistent(records: Array) -> Array:
     )
 
 
-@njit(cache=True, nogil=True)
-def all_consistent(records, zeros_too):
-    """Whether `consistent` holds of all records (K,), or of those that are not all zero, with `zeros_too`."""
-    for k in range(records.shape[0]):
-        r = records[k]
-        if zeros_too and r.n == 0 and r.z_min == 0 and r.z_max == 0 and r.sq_hi == 0 and r.z_sum == 0 and r.sq_lo == 0:
-            continue
-        n, low, high, total = np.int64(r.n), np.int64(r.z_min), np.int64(r.z_max), r.z_sum
-        if n == 0 or low > high or n * low > total or total > n * high:
-            return False
-        square = np.float64(r.sq_hi) * TWO_64 + np.float64(r.sq_lo)
-        count, least, most, mass = np.float64(n), np.float64(low), np.float64(high), np.float64(total)
-        slack = 1e-12 * (abs(mass) * (abs(least) + abs(most)) + count * abs(least * most))
-        bound = mass * (least + most) - count * least * most + slack
-        if square * count < mass * mass * (1 - 1e-12) or square * (1 - 1e-12) > bound:
-            return False
-    return True
+@njit(inline="always")
+def is_consistent(record):
+    """`consistent`, of one record."""
+    n, low, high, total = np.int64(record.n), np.int64(record.z_min), np.int64(record.z_max), record.z_sum
+    if n == 0 or low > high or n * low > total or total > n * high:
+        return False
+    square = np.float64(record.sq_hi) * TWO_64 + np.float64(record.sq_lo)
+    count, least, most, mass = np.float64(n), np.float64(low), np.float64(high), np.float64(total)
+    slack = 1e-12 * (abs(mass) * (abs(least) + abs(most)) + count * abs(least * most))
+    bound = mass * (least + most) - count * least * most + slack
+    return square * count >= mass * mass * (1 - 1e-12) and square * (1 - 1e-12) <= bound
+
+
+@njit(inline="always")
+def is_zero(record):
+    own = record.n == 0 and record.z_min == 0 and record.z_max == 0
+    return own and record.sq_hi == 0 and record.z_sum == 0 and record.sq_lo == 0
 
 
 def _spread(n: Floats, low: Floats, high: Floats, total: Floats, square: Floats) -> Array:

@@ -92,8 +92,7 @@ class Elevation:
 
     def check(self, cells: Array) -> str | None:
         ground = np.ascontiguousarray(cells).view(absorb.GROUND_OF_CELL)
-        sums = evidence.all_consistent(cells, False) and evidence.all_consistent(ground, True)
-        if sums and not (cells["changes"] >= cells["merges"]).any():
+        if absorb.sound(cells, ground):
             return None
         none = ground == np.zeros((), ground.dtype)
         return first_flaw({

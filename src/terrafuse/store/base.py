@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from terrafuse.errors import DeltaError
-from terrafuse.exchange.delta import Delta, MapId, TileCells, check_content
+from terrafuse.exchange.delta import Delta, MapId, TileCells, check_content, check_outline, together
 from terrafuse.kernels.newer import put_newer
 from terrafuse.models.base import Model
 from terrafuse.tile import opaque
@@ -96,16 +96,19 @@ class Store(Protocol):
         """In the order of arrival."""
 
 
-def check_delta(delta: Delta, map_: MapId, model: Model) -> None:
-    """Raise DeltaError unless the delta belongs to this map and a mapper can have made it."""
+def check_delta(delta: Delta, map_: MapId, model: Model, message: bytes | None = None) -> None:
+    """Raise DeltaError unless the delta belongs to this map and a mapper can have made it.
+
+    Of one that came as a message the codec has checked what cells of any model have.
+    """
     if delta.map != map_:
         raise DeltaError(f"a delta of {delta.map} does not belong to the map {map_}")
-    check_content(delta)
+    (check_outline if message else check_content)(delta)
     for tile in delta.tiles:
         if model.cell != tile.cells.dtype:
             raise DeltaError(f"cells of another kind than the model '{model.name}' has")
     # All at once: coarse tiles have few cells each, and which of them is at fault is asked only where one is.
-    if delta.tiles and model.check(np.concatenate([opaque(tile.cells) for tile in delta.tiles]).view(model.cell)):
+    if delta.tiles and model.check(together([tile.cells for tile in delta.tiles])):
         for tile in delta.tiles:
             if flaw := model.check(tile.cells):
                 raise DeltaError(f"tile {tuple(tile.key)} has cells with {flaw}: no mapper makes such")

@@ -40,7 +40,7 @@ class MemoryStore:
         return self._model
 
     def accept(self, delta: Delta, path: Iterable[PathPoint] = (), message: bytes | None = None) -> bool:
-        check_delta(delta, self._map, self._model)
+        check_delta(delta, self._map, self._model, message)
         identity = identity_of(delta, message)
         if identity in self._history:
             return False

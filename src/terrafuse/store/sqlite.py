@@ -147,7 +147,7 @@ class SqliteStore:
 
     def accept(self, delta: Delta, path: Iterable[PathPoint] = (), message: bytes | None = None) -> bool:
         self._folding.raise_fault()
-        check_delta(delta, self._map, self._model)
+        check_delta(delta, self._map, self._model, message)
         if len(delta.tiles) > MOST_TILES_A_MESSAGE:
             message = None
         frames = [None if message else pack_cells(tile.at, tile.cells) for tile in delta.tiles]
@@ -156,10 +156,8 @@ class SqliteStore:
             sequence = self._register(delta, message, sum(sizes))
             if sequence is None:
                 return False
-            connection.executemany(
-                "INSERT OR IGNORE INTO poses VALUES (?, ?, ?, NULL)",
-                [(delta.robot, p.stamp_ns, p.T_world_sensor.matrix[:3].astype("<f8").tobytes()) for p in path],
-            )
+            if points := [(delta.robot, p.stamp_ns, p.T_world_sensor.matrix[:3].astype("<f8").tobytes()) for p in path]:
+                connection.executemany("INSERT OR IGNORE INTO poses VALUES (?, ?, ?, NULL)", points)
             if message and delta.tiles:
                 connection.execute("INSERT INTO messages VALUES (?, ?)", (sequence, message))
             for tile, frame, size in zip(delta.tiles, frames, sizes, strict=True):
@@ -205,7 +203,7 @@ class SqliteStore:
             "ON CONFLICT (robot, level, x, y) DO UPDATE SET revision = max(revision, excluded.revision), "
             "stamp_ns = max(stamp_ns, excluded.stamp_ns), tail_bytes = tail_bytes + excluded.tail_bytes "
             "RETURNING base_bytes, tail_bytes",
-            (*where, int(tile.cells["revision"].max()), int(tile.cells["stamp"].max()), size),
+            (*where, *tile.newest, size),
         ).fetchall()
         if tail > max(2 * base, MIN_TAIL_BYTES):
             if self._together:

@@ -20,6 +20,6 @@ def test_who_could_not_take_a_claim_s_own_tiles_does_not_follow_it() -> None:
     store = MemoryStore(LATTICE, MODEL)
     holding = Holding(Channel("fine", store), Counter())
     piece = Piece(2, [1], (0, 2, []), False, encode(replace(second, since=2)))
-    assert not holding.apply("station", piece, 0)
+    assert not holding.apply("station", "r0", piece, 0)
     assert store.level("r0") == 0
     assert not store.keys()

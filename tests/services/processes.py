@@ -100,6 +100,9 @@ class Processes:
         code = self._running[name].wait(20)
         return code, time.monotonic() - started
 
+    def pid(self, name: str) -> int:
+        return self._running[name].pid
+
     def code(self, name: str) -> int | None:
         return self._running[name].poll()
 

@@ -161,7 +161,7 @@ class Exchange(Service):
             if self._hear(sender, kind, payload, self._now_ns):
                 return
         except ValueError:
-            self.counts["refused.place"] += 1
+            self.counts["refused.pose"] += 1
             return
         letter = letter_from(sender, kind, payload)
         if letter is None or not self._deliver(letter.service, letter.message):

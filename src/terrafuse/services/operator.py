@@ -31,7 +31,8 @@ class Operator:
 
     def __init__(self, link: Link, station: str, clock: Callable[[], int] | None = None) -> None:
         self._station, self._clock = station, clock or Clock()
-        self._number = 0
+        # No other of this name may have asked the same: what it was answered is said to this one, too.
+        self._number = secrets.randbits(62)
         self._heard: dict[str, Entry] = {}
         settings = CourierSettings(period_s=0.5, answer_s=0.1)
         self._courier = Courier(link, peers=[station], on_message=self._take, settings=settings)

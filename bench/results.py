@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def swept(loaded: Loaded, path: Path, kept: bool) -> list[Table]:
     """The tables of several missions, run now or as `path` has them."""
-    if not kept:
+    if not kept or not path.exists():
         sweep = SWEEPS.get(loaded.scenario.study)
         tables = sweep(loaded, tell) if sweep else []
         path.write_text(json.dumps([table.as_json() for table in tables]), encoding="utf-8")

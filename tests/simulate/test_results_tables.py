@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from terrafuse.simulate.mission.tables import Table, from_json, html, markdown, shown
+from terrafuse.simulate.mission.tables import Table, from_json, html, markdown, moments, shown
 
 TABLE = Table(
     "Time to map <all>",
@@ -57,3 +57,10 @@ def test_rows_have_as_many_cells_as_there_are_headings() -> None:
 )
 def test_four_digits(cell: float, text: str) -> None:
     assert shown(cell) == text
+
+
+def test_some_moments_are_spread_evenly_with_the_first_and_the_last() -> None:
+    assert moments([], 3) == []
+    assert moments([5], 3) == [5]
+    assert moments([*range(7)], 3) == [0, 3, 6]
+    assert moments([*range(3)], 12) == [0, 1, 2]

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import Any
+from typing import Any, TypeVar
 
 from terrafuse.export.page import Number, section
 from terrafuse.export.page import table as html_table
 
+Row = TypeVar("Row")
 Cell = str | int | float | None
 """None is shown as a dash: not measured, or does not apply."""
 NONE = "–"
@@ -38,6 +39,11 @@ class Table:
 def from_json(plain: Any) -> Table:
     """The table of `as_json`."""
     return Table(plain["title"], tuple(plain["headings"]), tuple(map(tuple, plain["rows"])), plain["note"])
+
+
+def moments(rows: Sequence[Row], most: int) -> list[Row]:
+    """At most so many of the rows, evenly spread, the first and the last among them."""
+    return [rows[k] for k in sorted({round(k * (len(rows) - 1) / (most - 1)) for k in range(most)})] if rows else []
 
 
 def html(table: Table) -> str:

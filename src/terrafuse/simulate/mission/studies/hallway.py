@@ -15,7 +15,7 @@ import numpy as np
 
 from terrafuse.simulate import truth
 from terrafuse.simulate.mission.engine import Mission, lattice_of, model_of
-from terrafuse.simulate.mission.tables import Cell, Table
+from terrafuse.simulate.mission.tables import Cell, Table, moments
 from terrafuse.simulate.mission.vehicle import Vehicle
 from terrafuse.simulate.scenario import Loaded, with_robots
 from terrafuse.simulate.scenario.read import changed
@@ -67,13 +67,12 @@ class Growth:
 
     def table(self) -> Table:
         """A dozen moments."""
-        rows = [self.rows[k] for k in sorted({round(k * (len(self.rows) - 1) / 11) for k in range(12)})]
         ninety_s = self.reached_s(MAPPED)
         when = "was not reached" if ninety_s is None else f"was reached after {ninety_s:,.0f} s"
         return Table(
             "How much of the free floor is mapped",
             ("simulated s", "share of the floor"),
-            tuple(rows),
+            tuple(moments(self.rows, 12)),
             f"By the robots together, corridor and rooms, {self._free.sum():,} cells. {MAPPED:.0%} {when}. Of the "
             f"corridor, {self._share(self._corridor):.1%} is mapped in the end.",
         )

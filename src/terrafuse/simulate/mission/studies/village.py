@@ -15,7 +15,7 @@ from terrafuse.replica import Replica
 from terrafuse.simulate.mission.engine import Mission
 from terrafuse.simulate.mission.measures import Truth, error_facts, height_errors
 from terrafuse.simulate.mission.ownmap import live
-from terrafuse.simulate.mission.tables import Cell, Table
+from terrafuse.simulate.mission.tables import Cell, Table, moments
 from terrafuse.simulate.mission.timeline import Timeline, blocks, coarse_truth, finer
 from terrafuse.simulate.mission.vehicle import Vehicle
 from terrafuse.simulate.scenario import Loaded, with_robots
@@ -128,14 +128,13 @@ class Heights:
         return error_facts(means - self._coarse_m, self._coarse_houses)
 
     def table(self) -> Table:
-        some = [self.rows[k] for k in sorted({round(k * (len(self.rows) - 1) / 19) for k in range(20)})]
         return Table(
             "Heights of what was seen",
             (
                 "simulated s", "building cells", "RMSE, m", "bias, m", "median, m", "with glimpses", "RMSE of these, m",
                 "streets RMSE, m", "building cells of the GLRM", "their RMSE, m", "of a faultless HRM, m",
             ),
-            tuple(some if self.rows else ()),
+            tuple(moments(self.rows, 20)),
             "Of what robots saw, without the prior's guess. HRM: against the true height at each cell's centre; cells "
             "whose confidence is 2/16 or more, from which on a cell counts for coarser ones; a glimpse is one that is "
             "less sure, of a beam or two from far away, often at the foot of a wall. GLRM: "
@@ -148,7 +147,6 @@ class Heights:
 def growth_table(timeline: Timeline) -> Table:
     """The station's global map as time goes by: what is mapped, and the buildings' heights, the guesses included."""
     rows = [row for row in timeline.rows if "mapped_share_at_station" in row]
-    some = [rows[k] for k in sorted({round(k * (len(rows) - 1) / 11) for k in range(12)})] if rows else []
     return Table(
         "The global map (GLRM) as it grows",
         ("simulated s", "streets mapped", "at the station", "building RMSE, m", "of what was seen, m", "cells seen"),
@@ -157,7 +155,7 @@ def growth_table(timeline: Timeline) -> Table:
                 row["time_s"], row["mapped_share"], row["mapped_share_at_station"], row.get("building_rmse_map_m"),
                 row.get("building_rmse_seen_m"), row.get("building_cells_seen"),
             )
-            for row in some
+            for row in moments(rows, 12)
         ),
         "Cells of 5 m that are a building's by half or more, against the mean of the true heights within. Before "
         "anything is seen, the map has the prior's guess.",

@@ -73,16 +73,16 @@ def positive(option: str, value: float | None, unit: str = "metres") -> float | 
     return value
 
 
-def bounds(text: str | None) -> Bounds | None:
+def bounds(text: str | None, option: str = "--bounds") -> Bounds | None:
     from terrafuse.types import Bounds
 
-    values = numbers("--bounds", text, "WEST,SOUTH,EAST,NORTH")
+    values = numbers(option, text, "WEST,SOUTH,EAST,NORTH")
     if values is None:
         return None
     out = Bounds(*values)
     if not (out.west < out.east and out.south < out.north):
         raise InputError(
-            f"--bounds '{text}': the bounds are empty; give WEST,SOUTH,EAST,NORTH with west < east and south < north"
+            f"{option} '{text}': the bounds are empty; give WEST,SOUTH,EAST,NORTH with west < east and south < north"
         )
     return out
 

@@ -117,6 +117,12 @@ def robot(
     precision: Annotated[
         str, typer.Option(help="Of what it reports: exact, full (all layers rounded) or lean (height and confidence).")
     ] = "exact",
+    area: Annotated[
+        str | None, typer.Option(metavar="W,S,E,N", help="Hold the fleet's map there, in NAME.global.db.")
+    ] = None,
+    area_radius: Annotated[
+        float | None, typer.Option(metavar="METRES", help="The same, so far about where it is by now.")
+    ] = None,
     station_name: StationName = "station",
     budget: Budget = None,
     realtime: Annotated[bool, typer.Option("--realtime", help="Scans come when their stamps say so.")] = False,
@@ -144,6 +150,7 @@ def robot(
     )  # fmt: skip
     part = RobotPart(
         source=source, store=str(_path(store or f"{name}.db")), sensor=sensor, realtime=realtime,
+        area_m=arguments.bounds(area, "--area"), area_radius_m=arguments.positive("--area-radius", area_radius),
         share=share, precision=precision, bytes_per_s=arguments.positive("--budget", budget, "bytes"),  # type: ignore[arg-type]
     )  # fmt: skip
     link = _link(connect=tuple(connect), keys=keys, insecure=insecure, kind=LinkPart)

@@ -6,11 +6,13 @@ At a robot it is called `exchange`, at a station `map-manager` (*patrol*: Map Ma
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 from terrafuse.errors import InputError
+from terrafuse.exchange.corrections import Correction, encode_corrections
 from terrafuse.exchange.courier import Channel, Courier, CourierSettings
 from terrafuse.exchange.delta import map_id
 from terrafuse.exchange.links import Link
@@ -21,8 +23,9 @@ from terrafuse.services.places import Told as Way
 from terrafuse.services.ports import Handover, Letter, Letterbox, letter_from
 from terrafuse.services.service import SECOND_NS, Contract, Message, Service
 from terrafuse.store.base import Store
+from terrafuse.types import Bounds
 
-TICK_S = 0.02
+TICK_S, FOLD_S = 0.02, 1.0
 EXCHANGE, MAP_MANAGER = "exchange", "map-manager"
 
 
@@ -37,6 +40,14 @@ class About:
         return {"map": asdict(map_id(self.model.name, self.lattice)), "settings": self.model.settings()}
 
 
+def nowhere(place: Place | None) -> Bounds | None:
+    return None
+
+
+def unfolded(areas: Collection[Bounds]) -> object:
+    return None
+
+
 @dataclass(frozen=True)
 class Told:
     """What a robot's node tells of its own map."""
@@ -47,6 +58,10 @@ class Told:
     coarse: Store | None = None
     """Of this service alone: what came by the handover."""
     track: Track = field(default_factory=Track)
+    area: Callable[[Place | None], Bounds | None] = nowhere
+    """Of interest to it, where it is there."""
+    corrections: Path | None = None
+    """The file of corrections of its poses."""
 
 
 def unheard(sender: str, kind: str, payload: bytes, now_ns: int) -> bool:
@@ -74,6 +89,7 @@ class Exchange(Service):
         peers: Sequence[str] | None = None,
         told: Told | None = None,
         hear: Callable[[str, str, bytes, int], bool] = unheard,
+        fold: Callable[[Collection[Bounds]], object] = unfolded,
     ) -> None:
         super().__init__()
         self.contract = contract_of(name)
@@ -82,11 +98,16 @@ class Exchange(Service):
         self._about, self._letters, self._deliver, self._told, self._hear = about, letters, deliver, told, hear
         self._place: Place | None = None
         self._way: Way | None = None
-        self._place_ns = self._way_ns = 0
+        self._place_ns = self._way_ns = self._fold_ns = 0
+        self._fold = fold
+        self._corrections = 0
         self._channels = channels()
         self._link = link()
         try:
-            self._courier = Courier(self._link, self._channels, peers=peers, on_message=self._bring, settings=settings)
+            self._courier = Courier(
+                self._link, self._channels, peers=peers, on_message=self._bring, on_correction=self._correct,
+                settings=settings,
+            )  # fmt: skip
             self.counts = self._courier.counts
             for station in self.stations:
                 join = Message(contract_of(MAP_MANAGER).id, "join", json.dumps(about.as_json()).encode())
@@ -105,6 +126,9 @@ class Exchange(Service):
         for letter in self._letters.take():
             self._write(letter)
         self._tell_place(now_ns)
+        if now_ns - self._fold_ns >= FOLD_S * SECOND_NS and self._courier.areas:
+            self._fold_ns = now_ns
+            self._fold(self._courier.areas)
         self._courier.tick(now_ns)
         if self._told is not None and self.stations:
             self._look_whether_done(self._told, now_ns)
@@ -130,6 +154,8 @@ class Exchange(Service):
             out["stations"] = list(self.stations)
             out["level"] = self._quiet_ns is not None
             out["behind"] = {station: self._courier.behind(station) for station in self.stations}
+        if self._corrections:
+            out["corrections"] = self._corrections
         if any(self._said.values()):
             out["said"] = {station: words for station, words in self._said.items() if words}
         return out
@@ -140,6 +166,8 @@ class Exchange(Service):
     def _tell_place(self, now_ns: int) -> None:
         """Where the robot is, and now and then by what way it came there."""
         place = None if self._told is None else self._told.track.latest
+        if self._told is not None:
+            self._courier.area = self._told.area(place)
         if self._told is None or place is None:
             return
         patience_s = PLACE_S if place != self._place else STILL_S
@@ -151,6 +179,17 @@ class Exchange(Service):
             if way != self._way:
                 self._way = way
                 self._tell(TRACK, encode(way))
+
+    def _correct(self, sender: str, corrections: Sequence[Correction]) -> None:
+        """Kept beside the robot's map, all that hold; of stations only."""
+        if self._told is None or self._told.corrections is None or sender not in self.stations:
+            self.counts["refused.correction"] += 1
+            return
+        file = self._told.corrections
+        partial = file.with_name(f".{file.name}.partial")
+        partial.write_bytes(encode_corrections(corrections))
+        partial.replace(file)
+        self._corrections = len(corrections)
 
     def _tell(self, kind: str, payload: bytes) -> None:
         for station in self.stations:

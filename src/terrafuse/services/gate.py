@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import inf
 from pathlib import Path
 
 import numpy as np
 
 from terrafuse.errors import InputError
-from terrafuse.exchange.channel import Channel
+from terrafuse.exchange.channel import Channel, unheard
 from terrafuse.exchange.framing import Limits
 from terrafuse.exchange.guard import Allows, Guard, Policy, Quotas
 from terrafuse.services.places import PLACE, TRACK, decode_place, decode_track
 from terrafuse.services.settings import QuotasPart
 from terrafuse.store.base import Store
+from terrafuse.types import TileKey
+
+OnChange = Callable[[str, Sequence[TileKey]], None]
 
 MESSAGE_CELLS = 1 << 17
 """A message of one tile may have all of it, however many cells that are."""
@@ -27,10 +30,10 @@ class Gate:
         policy: Allows = Policy() if keys is None else Roll(Path(keys))
         self._guards = [_guard(store, quotas, policy) for store in stores]
 
-    def channel(self, name: str, which: int, store: Store) -> Channel:
+    def channel(self, name: str, which: int, store: Store, on_change: OnChange = unheard) -> Channel:
         """The channel of a map, which is passed on, too."""
         guard = self._guards[which]
-        return Channel(name, store, relay=True, guard=guard.check, screen=guard.screen)
+        return Channel(name, store, relay=True, guard=guard.check, screen=guard.screen, on_change=on_change)
 
     def hear(self, sender: str, kind: str, payload: bytes, now_ns: int) -> bool:
         """Where a robot says that it is, or was; whether the message was of that kind. Raises ValueError for others."""

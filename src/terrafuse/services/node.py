@@ -8,32 +8,37 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from terrafuse.errors import StoreMismatch
+from terrafuse.exchange.channel import unheard
 from terrafuse.exchange.courier import Channel, CourierSettings
 from terrafuse.exchange.delta import map_id
+from terrafuse.exchange.globals import GlobalMap
 from terrafuse.lattice import Lattice
 from terrafuse.mapping import open_partial, plan, tile_for
 from terrafuse.models import make_model
 from terrafuse.models.base import Model
+from terrafuse.replica import Replica
 from terrafuse.services.carriers import Carrier
 from terrafuse.services.directory import DIRECTORY, Directory
 from terrafuse.services.exchange import EXCHANGE, MAP_MANAGER, About, Exchange, Told
 from terrafuse.services.gate import Gate
 from terrafuse.services.held import Held
 from terrafuse.services.mapping import Mapping
+from terrafuse.services.places import Place
 from terrafuse.services.ports import Handover, Letterbox, ScanPort
 from terrafuse.services.precision import keep_to, projection
 from terrafuse.services.service import DONE, Status
-from terrafuse.services.settings import FleetSettings
+from terrafuse.services.settings import FleetSettings, RobotPart
 from terrafuse.services.simulated import source_text
 from terrafuse.services.source import Source
 from terrafuse.services.supervise import Orchestration, Restarts, Spec, Supervisor
 from terrafuse.store.base import Store
 from terrafuse.store.memory import MemoryStore
 from terrafuse.store.sqlite import SqliteStore
+from terrafuse.types import Bounds
 
 ALWAYS = Restarts(most=None)
 ORCHESTRATION = "orchestration"
-FINE, COARSE = "fine", "coarse"
+FINE, COARSE, GLOBAL = "fine", "coarse", "global"
 MESSAGE_S, CELL_BYTES = 0.5, 10
 """What a message may take of a link, and a cell about takes of a message."""
 LEAST_CELLS, MOST_CELLS = 2048, 1 << 16
@@ -84,14 +89,20 @@ def station(settings: FleetSettings, carrier: Carrier) -> Node:
     keys = None if settings.link.keys is None else settings.link.keys.replace("{node}", part.name)
     gate = Gate(list(maps.values()), part.quotas, keys)
 
+    folded = GlobalMap(part.name, Replica(store=store))
+
     def channels() -> Sequence[Channel]:
-        return [gate.channel(name, which, map_) for which, (name, map_) in enumerate(maps.items())]
+        heard = {FINE: folded.changed}
+        some = [gate.channel(name, k, map_, heard.get(name, unheard)) for k, (name, map_) in enumerate(maps.items())]
+        return [*some, Channel(GLOBAL, own=folded, near=True)]
 
     link = carrier(part.name)
     specs = [
         Spec(
             MAP_MANAGER,
-            lambda: Exchange(MAP_MANAGER, about, link, channels, pace, letters, supervisor.send, hear=gate.hear),
+            lambda: Exchange(
+                MAP_MANAGER, about, link, channels, pace, letters, supervisor.send, hear=gate.hear, fold=folded.update
+            ),
             restarts=ALWAYS,
         ),
         *_common("terrafuse/mapping-orchestration", lambda: supervisor, part.name, letters, (), pace.bytes_per_s),
@@ -115,17 +126,22 @@ def robot(settings: FleetSettings, name: str, carrier: Carrier) -> Node:
     factor = settings.map.global_factor
     share = part.share or (COARSE if factor > 1 else FINE)
     port, handover, letters = ScanPort(), Handover(), Letterbox()
-    told = Told(archive, handover, MemoryStore(run.lattice.coarser(factor), run.model) if factor > 1 else None)
-    replica = _replica_file(files, Path(part.store), archive) if share == FINE else None
+    told = Told(
+        archive, handover, MemoryStore(run.lattice.coarser(factor), run.model) if factor > 1 else None,
+        area=_area(part), corrections=Path(part.store).with_suffix(".corrections"),
+    )  # fmt: skip
+    near = _beside(files, Path(part.store), GLOBAL, archive) if part.area_m or part.area_radius_m else None
+    replica = _beside(files, Path(part.store), "replica", archive) if share == FINE else None
     pace = _pace(part.bytes_per_s)
     about = About(run.lattice, run.model)
     whole = MemoryStore(run.lattice.coarser(factor), run.model) if share == COARSE and factor > 1 else None
 
     def channels() -> Sequence[Channel]:
         fine = Channel(FINE, replica, Held(archive, name, archive.unchanged), project=project)
+        some = [fine] if near is None else [fine, Channel(GLOBAL, near, near=True)]
         if told.coarse is None:
-            return [fine]
-        return [Channel(COARSE, whole, Held(told.coarse, name), project=project), fine]
+            return some
+        return [Channel(COARSE, whole, Held(told.coarse, name), project=project), *some]
 
     link = carrier(name)
     specs = [
@@ -202,8 +218,23 @@ def _coarse_file(files: ExitStack, path: Path, store: SqliteStore, factor: int) 
     return files.enter_context(_opened(beside, store.map.lattice.coarser(factor), store.model))
 
 
-def _replica_file(files: ExitStack, path: Path, archive: Store) -> SqliteStore:
-    beside = path.with_name(f"{path.stem}.replica.db")
+def _area(part: RobotPart) -> Callable[[Place | None], Bounds | None]:
+    """Of interest, where the robot is there."""
+    fixed, radius_m = None if part.area_m is None else Bounds(*part.area_m), part.area_radius_m
+
+    def area(place: Place | None) -> Bounds | None:
+        if radius_m is None or place is None:
+            return fixed
+        east, north = place.east_m, place.north_m
+        about = Bounds(east - radius_m, north - radius_m, east + radius_m, north + radius_m)
+        return about if fixed is None else about.union(fixed)
+
+    return area
+
+
+def _beside(files: ExitStack, path: Path, what: str, archive: Store) -> SqliteStore:
+    """Another store of the robot's lattice, beside its own."""
+    beside = path.with_name(f"{path.stem}.{what}.db")
     return files.enter_context(_opened(beside, archive.map.lattice, archive.model))
 
 

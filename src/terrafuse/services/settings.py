@@ -68,6 +68,10 @@ class RobotPart(Part):
     realtime: bool = False
     share: Literal["coarse", "fine", "none"] | None = None
     """Which map of the whole fleet the robot holds; None: the coarse one, where there is one, else the fine one."""
+    area_m: tuple[float, float, float, float] | None = None
+    """West, south, east, north: of interest. The robot then holds the fleet's map there."""
+    area_radius_m: float | None = Field(default=None, gt=0)
+    """The same about where it is by now."""
     precision: Literal["exact", "full", "lean"] = "exact"
     """Of what it reports: docs/delta-format.md."""
     bytes_per_s: float | None = Field(None, gt=0)

@@ -1,0 +1,84 @@
+"""Robots hold the station's map where they are interested, and what they are told of their poses."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from terrafuse.exchange.area import meets
+from terrafuse.exchange.corrections import CORRECTION, Correction, decode_corrections, encode_corrections, flat
+from terrafuse.exchange.courier import Courier
+from terrafuse.exchange.links import MemoryHub
+from terrafuse.replica import Replica
+from terrafuse.services.node import _area, make_node
+from terrafuse.services.places import Place
+from terrafuse.services.settings import FleetSettings, RobotPart
+from terrafuse.store.sqlite import SqliteStore
+from terrafuse.types import Bounds
+from tests.services.test_one_process import nodes_of, settings_of
+
+AREA = (0.0, 0.0, 30.0, 30.0)
+
+
+def test_an_area_may_go_with_the_robot() -> None:
+    here = Place(0, 10.0, 20.0, 0.0)
+    part = RobotPart(source="a", store="b", area_radius_m=5.0)
+    assert _area(part)(None) is None
+    assert _area(part)(here) == Bounds(5.0, 15.0, 15.0, 25.0)
+    both = part.model_copy(update={"area_m": (0.0, 0.0, 1.0, 1.0)})
+    assert _area(both)(None) == Bounds(0.0, 0.0, 1.0, 1.0)
+    assert _area(both)(here) == Bounds(0.0, 0.0, 15.0, 25.0)
+
+
+def interested(settings: FleetSettings) -> FleetSettings:
+    first = settings.robots["r1"].model_copy(update={"area_m": AREA, "share": "none"})
+    return settings.model_copy(update={"robots": settings.robots | {"r1": first}})
+
+
+def alike(folder: Path) -> bool:
+    """Whether r1 holds of its area what the station folds, and nothing else."""
+    with SqliteStore.open(folder / "station.db") as store, SqliteStore.open(folder / "r1.global.db") as near:
+        station, robot = Replica(store=store), Replica(store=near)
+        inside = [key for key in station.keys if meets(key, store.map.tile_m, Bounds(*AREA))]
+        bare = [name for name in station.model.cell.names if name != "revision"]
+        return sorted(robot.keys) == sorted(inside) and all(
+            np.array_equal(station.cells(key)[bare], robot.cells(key)[bare]) for key in inside
+        )
+
+
+def test_a_robot_holds_the_stations_map_of_its_area(logs: dict[str, Path], tmp_path: Path) -> None:
+    settings = interested(settings_of(logs, tmp_path))
+    nodes = nodes_of(settings)
+    for node in nodes:
+        node.supervisor.start(node.name)
+    deadline = time.monotonic() + 90
+    try:
+        while not (all(node.done for node in nodes[1:]) and alike(tmp_path)):
+            assert time.monotonic() < deadline
+            time.sleep(0.5)
+    finally:
+        for node in nodes:
+            node.supervisor.stop(5)
+            node.close()
+
+
+def test_corrections_are_kept_beside_the_map(logs: dict[str, Path], tmp_path: Path) -> None:
+    settings = settings_of({"r1": logs["r1"]}, tmp_path)
+    hub = MemoryHub()
+    robot = make_node(settings, "r1", lambda node: lambda: hub.link(node))
+    station = Courier(hub.link("station"), peers=["r1"])
+    station.post("r1", CORRECTION, encode_corrections([Correction(5, flat(1.0, 2.0, 0.1))]))
+    robot.supervisor.start()
+    deadline = time.monotonic() + 30
+    try:
+        while robot.statuses["exchange"].state.get("corrections") != 1:
+            assert time.monotonic() < deadline, robot.statuses["exchange"]
+            station.tick(time.time_ns())
+            time.sleep(0.02)
+    finally:
+        robot.supervisor.stop(5)
+        robot.close()
+    (kept,) = decode_corrections((tmp_path / "r1.corrections").read_bytes())
+    assert kept.from_ns == 5

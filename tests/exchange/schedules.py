@@ -122,7 +122,7 @@ def schedule_of(seed: int) -> Schedule:
         jitter_s=rng.uniform(0, 0.3),
     )  # fmt: skip
     return Schedule(
-        seed, robots, stations, ways, relays, [("coarse",), ("coarse",), ("coarse", "fine")][rng.integers(3)], faults,
+        seed, robots, stations, ways, relays, ("coarse", "fine")[: 1 if rng.uniform() < 0.75 else 2], faults,
         int(rng.choice([120, 300, 2300])), float(rng.choice([3e3, 1e5, np.inf])),
         {node: tuple(_cut(rng) for _ in range(rng.integers(0, 3))) for node in nodes},
         tuple(_restart(rng, nodes) for _ in range(rng.integers(0, 4))),
@@ -131,7 +131,7 @@ def schedule_of(seed: int) -> Schedule:
 
 def _shape(rng: np.random.Generator) -> tuple[tuple[str, ...], tuple[str, ...], dict[str, frozenset[str]]]:
     """(robots, stations, whom each hears) of 2 to 6 nodes: a star, a mesh, a chain, or two stars side by side."""
-    count = int(rng.choice([2, 3, 4, 5, 6], p=[0.5, 0.27, 0.13, 0.06, 0.04]))
+    count = int(rng.choice([2, 3, 4, 5, 6], p=[0.52, 0.28, 0.12, 0.05, 0.03]))
     names = tuple(f"r{k}" for k in range(1, count + 1))
     shape = rng.choice(["star", "mesh", "chain", "hierarchy"])
     if shape == "mesh":

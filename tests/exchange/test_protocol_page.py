@@ -53,7 +53,8 @@ def test_recorded_traffic(seed: int) -> None:
         for channel, store in node.stores.items():
             for robot in store.robots():
                 held = listener.cells[channel, robot]
-                assert listener.base[channel, robot] == store.level(robot)
+                # It hears every frame; a node may have lost the last claim.
+                assert listener.base[channel, robot] >= store.level(robot)
                 for key in store.revisions(robot):
                     tile = store.load(robot, key)
                     assert tile is not None

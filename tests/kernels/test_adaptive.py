@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from terrafuse.kernels import adaptive
 from terrafuse.kernels.adaptive import ALWAYS, MOST, PLAIN, PREDICTED, SIGNED, Plan, Unpacked
-from terrafuse.types import Array
 
 SIDE = 8
 KINDS = np.array([PLAIN, SIGNED, PREDICTED, PREDICTED])
@@ -148,8 +147,14 @@ def test_neighbours() -> None:
 
 
 def expected(numbers: list[int], west: list[int], north: list[int]) -> int:
-    values: Array = np.array(numbers)
-    return int(adaptive.expected(values, len(numbers) - 1, np.array(west), np.array(north)))
+    """Of the last cell; what is symbols of it and of those before is their difference to that."""
+    values, symbols = np.array(numbers), np.empty(len(numbers), np.int64)
+    ends = np.array(west), np.array(north), -100, 100
+    assert adaptive.differences(adaptive.PREDICTED, values, values[:0], *ends, symbols, False)
+    again = np.empty_like(values)
+    assert adaptive.differences(adaptive.PREDICTED, again, values[:0], *ends, symbols, True)
+    assert again.tolist() == numbers
+    return numbers[-1] - adaptive.unfold_reference(int(symbols[-1]))
 
 
 def test_what_neighbours_let_expect() -> None:

@@ -63,21 +63,10 @@ def unfold(symbol):
 
 
 @njit(inline="always")
-def expected(numbers, k, west, north):
-    """What cell k's neighbours let expect: LOCO-I's median of W, N and W + N - NW; else the one there is; else the cell
-    before."""
-    w, n = west[k], north[k]
-    if w >= 0 and n >= 0:
-        a, b = numbers[w], numbers[n]
-        if north[w] < 0:
-            return (a + b) >> 1
-        c = numbers[north[w]]
-        return min(a, b) if c >= max(a, b) else max(a, b) if c <= min(a, b) else a + b - c
-    if w >= 0:
-        return numbers[w]
-    if n >= 0:
-        return numbers[n]
-    return numbers[k - 1] if k > 0 else np.int64(0)
+def middle(a, b, c):
+    """Of a, b and a + b - c."""
+    low, high = min(a, b), max(a, b)
+    return max(low, min(high, a + b - c))
 
 
 @njit(cache=True, nogil=True)
@@ -100,20 +89,39 @@ def neighbours(keys, starts, at, side, west, north):
 
 
 @njit(cache=True, nogil=True)
-def to_symbols(numbers, kinds, where, west, north, symbols):
-    """numbers (C, K) int64 → symbols (C, K); -1 where a column has none: where column where[c] is 0."""
-    for c in range(numbers.shape[0]):
-        own = numbers[c]
-        for k in range(numbers.shape[1]):
-            number = own[k]
-            if where[c] >= 0 and numbers[where[c], k] == 0:
-                symbols[c, k] = -1
-            elif kinds[c] == PLAIN:
-                symbols[c, k] = number
-            elif kinds[c] == SIGNED:
-                symbols[c, k] = fold(number)
-            else:
-                symbols[c, k] = fold(number - expected(own, k, west, north))
+def differences(kind, numbers, other, west, north, lowest, highest, symbols, back):
+    """One column's numbers (K,) → its symbols, one after the other, or `back`; False for numbers out of bounds.
+
+    `other`: the column that is not 0 where this one has symbols, and numbers that are not 0; empty where it has all.
+    What cell k's neighbours let expect is LOCO-I's median of W, N and W + N - NW; else the one there is; else the cell
+    before. (A function of the arrays, called for each cell, would take ten times as long: Numba counts references.)
+    """
+    every, following = other.shape[0] == 0, 0
+    for k in range(numbers.shape[0]):
+        if not every and other[k] == 0:
+            if back:
+                numbers[k] = 0
+            continue
+        guess = np.int64(0)
+        if kind == PREDICTED:
+            w, n = west[k], north[k]
+            if w >= 0 and n >= 0:
+                a, b, corner = numbers[w], numbers[n], north[w]
+                guess = (a + b) >> 1 if corner < 0 else middle(a, b, numbers[corner])
+            elif w >= 0 or n >= 0:
+                guess = numbers[max(w, n)]
+            elif k > 0:
+                guess = numbers[k - 1]
+        if back:
+            symbol = symbols[following]
+            number = guess + (symbol if kind == PLAIN else unfold(symbol))
+            if number < lowest or number > highest:
+                return False
+            numbers[k] = number
+        else:
+            symbols[following] = numbers[k] if kind == PLAIN else fold(numbers[k] - guess)
+        following += 1
+    return True
 
 
 @njit(inline="always")
@@ -300,25 +308,6 @@ def _places(gaps, starts, cells, places):
 
 
 @njit(cache=True, nogil=True)
-def _numbers(kind, symbols, other, west, north, lowest, highest, numbers):
-    """Symbols → numbers, 0 where `other`, unless it is empty, is 0; False if one is out of bounds."""
-    every, following = other.shape[0] == 0, 0
-    for k in range(numbers.shape[0]):
-        if not every and other[k] == 0:
-            numbers[k] = 0
-            continue
-        symbol = symbols[following]
-        following += 1
-        number = symbol if kind == PLAIN else unfold(symbol)
-        if kind == PREDICTED:
-            number += expected(numbers, k, west, north)
-        if number < lowest or number > highest:
-            return False
-        numbers[k] = number
-    return True
-
-
-@njit(cache=True, nogil=True)
 def _column(data, at, kind, other, west, north, lowest, highest, symbols, numbers):
     """The next column's numbers, likewise; False where it has none."""
     every, alike = other.shape[0] == 0, np.empty(1, np.int64)
@@ -331,7 +320,9 @@ def _column(data, at, kind, other, west, north, lowest, highest, symbols, number
         return lowest <= number <= highest
     own = symbols if every else symbols[: np.count_nonzero(other)]
     contexts = CONTEXTS if kind == PLAIN else 1
-    return _symbols(data, at, contexts, own) and _numbers(kind, own, other, west, north, lowest, highest, numbers)
+    if not _symbols(data, at, contexts, own):
+        return False
+    return differences(kind, numbers, other, west, north, lowest, highest, own, True)
 
 
 @njit(cache=True, nogil=True)
@@ -385,17 +376,19 @@ def packed(whole: Unpacked, side: int, plan: Plan) -> bytes:
     keys, starts, table, places, numbers = whole
     west, north = np.empty(len(places), np.int64), np.empty(len(places), np.int64)
     neighbours(keys, starts, places, side, west, north)
-    symbols = np.empty(numbers.shape, np.int64)
-    to_symbols(numbers, plan.kinds, plan.where, west, north, symbols)
     gaps = np.diff(places, prepend=-1) - 1
     gaps[starts[:-1]] = places[starts[:-1]]
     columns = [_folded(np.diff(keys[:, 0], prepend=0)), _folded(np.diff(keys[:, 1], prepend=0)), np.diff(starts) - 1]
     columns += [*table, gaps]
-    for own, column in zip(numbers, symbols, strict=True):
-        chosen = own[column >= 0]
+    for own, kind, where, low, high in zip(numbers, *plan, strict=True):
+        other = numbers[where] if where >= 0 else own[:0]
+        chosen = own[other != 0] if where >= 0 else own
         alike = len(chosen) == 0 or bool((chosen == chosen[0]).all())
+        symbols = np.empty(0 if alike else len(chosen), np.int64)
+        if not alike:
+            differences(kind, own, other, west, north, low, high, symbols, False)
         columns.append(1 + _folded(chosen[:1] if len(chosen) else np.zeros(1, np.int64)) if alike else NONE_ALIKE)
-        columns.append(column[:0] if alike else column[column >= 0])
+        columns.append(symbols)
     every, counts = np.concatenate(columns), np.array([len(column) for column in columns])
     contexts = np.full(len(columns), CONTEXTS)
     contexts[len(columns) - 2 * len(numbers) + 1 :: 2][plan.kinds != PLAIN] = 1

@@ -57,6 +57,7 @@ bench: setup
 	$(BIN)/python -m bench.rays
 	$(BIN)/python -m bench.sonar
 	$(BIN)/python -m bench.transport
+	$(BIN)/python -m bench.wire
 
 accuracy: setup
 	$(BIN)/python -m tests.accuracy

@@ -97,9 +97,11 @@ def test_a_fault_in_the_middle_of_a_delta_leaves_none_of_it(tmp_path: Path, monk
         append(*arguments)
 
     monkeypatch.setattr(store, "_append", failing)
+    assert store.revision("r2") == 0
     with pytest.raises(OutputError, match=r"map\.db: can't be written .*free some space"):
         store.accept(delta)
     monkeypatch.undo()
+    assert store.revision("r2") == 0
     assert Replica(store=store).digest() == before
     assert store.history() == history
     assert store.accept(delta)
@@ -123,6 +125,18 @@ def test_a_real_full_store_is_refused_and_loses_nothing(tmp_path: Path) -> None:
     assert refused > 0
     assert Replica(store=store).digest() == before
     store.close()
+
+
+def test_what_another_program_writes_is_seen(tmp_path: Path) -> None:
+    first, second, *_ = deltas_of("r1", random_scans(1, 8), LATTICE, MODEL)
+    with SqliteStore.create(tmp_path / "map.db", LATTICE, MODEL) as store:
+        store.accept(first)
+        assert (store.revision("r1"), store.level("r1"), store.stamp("r1")) == (1, 1, first.stamp_ns)
+        with SqliteStore.open(tmp_path / "map.db") as other:
+            other.accept(second)
+        assert (store.revision("r1"), store.level("r1"), store.stamp("r1")) == (2, 2, second.stamp_ns)
+        store.accept(deltas_of("r0", random_scans(1, 1), LATTICE, MODEL)[0])
+        assert store.robots() == ["r0", "r1"]
 
 
 def test_a_newer_schema_is_refused(tmp_path: Path) -> None:

@@ -64,6 +64,17 @@ it. `history.cells` is null where they are in the message of that sequence."""
 Where = tuple[str, int, int, int]
 """Robot, level, x, y."""
 PLACE = "robot = ? AND level = ? AND x = ? AND y = ?"
+ROBOTS = """
+WITH RECURSIVE names(name) AS (
+    SELECT min(robot) FROM deltas UNION ALL
+    SELECT (SELECT min(robot) FROM deltas WHERE robot > name) FROM names WHERE name IS NOT NULL)
+SELECT name FROM names WHERE name IS NOT NULL
+"""
+"""From one to the next by the index: DISTINCT would look at each delta."""
+TOP = """
+SELECT coalesce(max(revision), 0), coalesce(max(CASE WHEN since < revision THEN revision END), 0),
+       coalesce(max(stamp_ns), 0) FROM deltas WHERE robot = ?
+"""
 
 
 class SqliteStore:
@@ -76,6 +87,9 @@ class SqliteStore:
         self._model = model
         self._lock = threading.RLock()
         self._together = False
+        self._tops: dict[str, _Top] = {}
+        self._others = -1
+        """SQLite's count of what other programs wrote, when `_tops` was found."""
         self._folding: Folding[Where] = Folding(self._fold, f"folding {path.name}")
 
     @classmethod
@@ -162,6 +176,8 @@ class SqliteStore:
                 connection.execute("INSERT INTO messages VALUES (?, ?)", (sequence, message))
             for tile, frame, size in zip(delta.tiles, frames, sizes, strict=True):
                 self._append(delta.robot, sequence, tile, frame, size)
+            if delta.robot in self._tops:
+                self._tops[delta.robot] = self._tops[delta.robot].with_(delta)
         return True
 
     @contextmanager
@@ -183,6 +199,7 @@ class SqliteStore:
             except sqlite3.DatabaseError:
                 if self._connection.in_transaction:
                     self._connection.execute("ROLLBACK")
+                self._tops.clear()
                 raise
 
     def _register(self, delta: Delta, message: bytes | None, nbytes: int) -> int | None:
@@ -268,7 +285,7 @@ class SqliteStore:
         return [_Frame(*row) for row in (*base, *tail)]
 
     def robots(self) -> list[str]:
-        return [name for (name,) in self._read("SELECT DISTINCT robot FROM deltas ORDER BY robot")]
+        return [name for (name,) in self._read(ROBOTS)]
 
     def version(self) -> Hashable:
         """Changes with every delta that is accepted, here or by another program."""
@@ -280,17 +297,24 @@ class SqliteStore:
         return sorted(TileKey(*row) for row in self._read("SELECT DISTINCT x, y, level FROM contributions"))
 
     def revision(self, robot: str) -> int:
-        ((newest_revision,),) = self._read("SELECT coalesce(max(revision), 0) FROM deltas WHERE robot = ?", (robot,))
-        return int(newest_revision)
+        return self._top(robot).revision
 
     def level(self, robot: str) -> int:
-        query = "SELECT coalesce(max(revision), 0) FROM deltas WHERE robot = ? AND since < revision"
-        ((level,),) = self._read(query, (robot,))
-        return int(level)
+        return self._top(robot).level
 
     def stamp(self, robot: str) -> Stamp:
-        ((newest_stamp,),) = self._read("SELECT coalesce(max(stamp_ns), 0) FROM deltas WHERE robot = ?", (robot,))
-        return int(newest_stamp)
+        return self._top(robot).stamp_ns
+
+    def _top(self, robot: str) -> _Top:
+        """Found once: a robot may have sent a delta a second for days."""
+        with self._lock, _faults(self.file):
+            (others,) = self._connection.execute("PRAGMA data_version").fetchone()
+            if others != self._others:
+                self._tops.clear()
+                self._others = others
+            if robot not in self._tops:
+                self._tops[robot] = _Top(*self._connection.execute(TOP, (robot,)).fetchone())
+            return self._tops[robot]
 
     def revisions(self, robot: str) -> dict[TileKey, int]:
         rows = self._read("SELECT x, y, level, revision FROM contributions WHERE robot = ?", (robot,))
@@ -332,23 +356,45 @@ class SqliteStore:
     def _transaction(self) -> Iterator[sqlite3.Connection]:
         """All of it or nothing; within `together` a part of what is made to last at its end."""
         with self._lock, _faults(self.file):
-            if not self._together:
-                with self._connection:
-                    self._connection.execute("BEGIN IMMEDIATE")
-                    yield self._connection
-                return
-            if not self._connection.in_transaction:
-                self._connection.execute("BEGIN IMMEDIATE")
-            self._connection.execute("SAVEPOINT one")
             try:
-                yield self._connection
+                with self._part() if self._together else self._whole():
+                    yield self._connection
             except BaseException:
-                if self._connection.in_transaction:  # a full disk may have ended it
-                    self._connection.execute("ROLLBACK TO one")
+                self._tops.clear()
                 raise
-            finally:
-                if self._connection.in_transaction:
-                    self._connection.execute("RELEASE one")
+
+    @contextmanager
+    def _whole(self) -> Iterator[None]:
+        with self._connection:
+            self._connection.execute("BEGIN IMMEDIATE")
+            yield
+
+    @contextmanager
+    def _part(self) -> Iterator[None]:
+        if not self._connection.in_transaction:
+            self._connection.execute("BEGIN IMMEDIATE")
+        self._connection.execute("SAVEPOINT one")
+        try:
+            yield
+        except BaseException:
+            if self._connection.in_transaction:  # a full disk may have ended it
+                self._connection.execute("ROLLBACK TO one")
+            raise
+        finally:
+            if self._connection.in_transaction:
+                self._connection.execute("RELEASE one")
+
+
+class _Top(NamedTuple):
+    """The newest of a robot's deltas; 0 where there is none."""
+
+    revision: int
+    level: int
+    stamp_ns: Stamp
+
+    def with_(self, delta: Delta) -> _Top:
+        level = delta.revision if delta.since < delta.revision else 0
+        return _Top(max(self.revision, delta.revision), max(self.level, level), max(self.stamp_ns, delta.stamp_ns))
 
 
 class _Frame(NamedTuple):

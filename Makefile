@@ -13,7 +13,7 @@ help:
 	@echo "make test      set up, then lint, types and all tests"
 	@echo "make bench     time the kernels and the pipeline, side by side with NumPy, pandas and polars"
 	@echo "make accuracy  measure against surveyed truth (needs TERRAFUSE_RECORDINGS)"
-	@echo "make soak      20,000 random schedules of the exchange: minutes to an hour"
+	@echo "make soak      long tests of real processes, 20,000 random schedules of the exchange: an hour"
 	@echo "make wheel     build dist/*.whl"
 
 $(READY): pyproject.toml constraints.txt
@@ -67,6 +67,7 @@ accuracy: setup
 	$(BIN)/python -m tests.accuracy_windows
 
 soak: setup
+	$(BIN)/python -m pytest -m long
 	$(BIN)/python -m tests.exchange.soak
 
 wheel: setup

@@ -181,6 +181,7 @@ class Feeder:
             self.loaded += 1
 
 
+@pytest.mark.long
 def test_of_a_hundred_joins_under_load_each_gets_everything(here: str) -> None:
     """Who has come to a revision holds every cell of the feeder's that has not changed since, in every byte."""
     with station(listen=here, insecure=True) as process:

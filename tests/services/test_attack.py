@@ -154,6 +154,7 @@ def besieged(folder: Path) -> Iterator[tuple[Processes, Attacker, Path]]:
             link.close()
 
 
+@pytest.mark.long
 def test_what_a_robot_with_a_certificate_can_do(tmp_path: Path) -> None:
     with besieged(tmp_path) as (processes, r4, store):
         r4.until_counted("place", lambda: r4.report(GOOD))

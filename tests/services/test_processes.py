@@ -63,6 +63,7 @@ def test_kitti_in_three(recordings: Path, tmp_path: Path) -> None:
     through_faults(kitti(recordings, tmp_path), ["--resolution", "0.4"], 150_000, tmp_path)
 
 
+@pytest.mark.long
 def test_freiburg_in_three(recordings: Path, tmp_path: Path) -> None:
     options = ["--model", "occupancy", "--resolution", "0.1"]
     through_faults(freiburg(recordings, tmp_path, every=20), options, 30_000, tmp_path)

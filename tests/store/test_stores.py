@@ -38,7 +38,7 @@ class TestSqliteStoreWithShortTails(StoreTests):
 
     @pytest.fixture
     def store(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Store]:
-        monkeypatch.setattr("terrafuse.store.sqlite.MIN_TAIL_BYTES", 0)
+        monkeypatch.setattr("terrafuse.store.sqlite.MIN_TAIL_CELLS", 0)
         with SqliteStore.create(tmp_path / "map.db", LATTICE, MODEL) as store:
             yield store
 
@@ -48,7 +48,7 @@ class TestSqliteStoreWithAMessageForAll(StoreTests):
 
     @pytest.fixture
     def store(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Store]:
-        monkeypatch.setattr("terrafuse.store.sqlite.MIN_TAIL_BYTES", 0)
+        monkeypatch.setattr("terrafuse.store.sqlite.MIN_TAIL_CELLS", 0)
         monkeypatch.setattr("terrafuse.store.sqlite.MOST_TILES_A_MESSAGE", 1000)
         with SqliteStore.create(tmp_path / "map.db", LATTICE, MODEL) as store:
             yield store

@@ -101,7 +101,7 @@ def test_a_fault_in_the_middle_of_a_delta_takes_back_that_one(tmp_path: Path, mo
 
 
 def test_long_tails_are_folded_by_a_thread_while_more_comes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("terrafuse.store.sqlite.MIN_TAIL_BYTES", 0)
+    monkeypatch.setattr("terrafuse.store.sqlite.MIN_TAIL_CELLS", 0)
     expected = Replica(LATTICE, MODEL)
     path = tmp_path / "map.db"
     with SqliteStore.create(path, LATTICE, MODEL) as store:
@@ -114,7 +114,7 @@ def test_long_tails_are_folded_by_a_thread_while_more_comes(tmp_path: Path, monk
         assert Replica(store=store).digest() == expected.digest()
     with sqlite3.connect(path) as connection:
         unfolded = connection.execute(
-            "SELECT count(*) FROM contributions WHERE tail_bytes > 2 * base_bytes"
+            "SELECT count(*) FROM contributions WHERE tail_cells > 2 * base_cells"
         ).fetchone()[0]
         assert unfolded == 0
         assert connection.execute("SELECT count(*) FROM bases").fetchone()[0] > 3

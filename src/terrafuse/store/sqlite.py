@@ -33,7 +33,8 @@ from terrafuse.types import Array, Pose, Stamp, TileKey
 
 SCHEMA = 2
 APPLICATION_ID = 0x54465553  # "TFUS"
-MIN_TAIL_BYTES = 1 << 16
+MIN_TAIL_CELLS = 1 << 16
+"""A tail that is not longer is left: reading it takes 10 ms at most, and folding it takes as long."""
 MOST_TILES_A_MESSAGE = 4
 """Each of a message's tiles is read by unpacking all of it: with more, each is packed by itself."""
 
@@ -49,7 +50,7 @@ CREATE TABLE history (
     count INTEGER NOT NULL, cells BLOB, PRIMARY KEY (robot, level, x, y, sequence)) WITHOUT ROWID;
 CREATE TABLE contributions (
     robot TEXT NOT NULL, level INTEGER NOT NULL, x INTEGER NOT NULL, y INTEGER NOT NULL,
-    revision INTEGER NOT NULL, stamp_ns INTEGER NOT NULL, base_bytes INTEGER NOT NULL, tail_bytes INTEGER NOT NULL,
+    revision INTEGER NOT NULL, stamp_ns INTEGER NOT NULL, base_cells INTEGER NOT NULL, tail_cells INTEGER NOT NULL,
     PRIMARY KEY (robot, level, x, y)) WITHOUT ROWID;
 CREATE TABLE bases (
     robot TEXT NOT NULL, level INTEGER NOT NULL, x INTEGER NOT NULL, y INTEGER NOT NULL,
@@ -165,17 +166,17 @@ class SqliteStore:
         if len(delta.tiles) > MOST_TILES_A_MESSAGE:
             message = None
         frames = [None if message else pack_cells(tile.at, tile.cells) for tile in delta.tiles]
-        sizes = _sizes(delta, message) if message else [len(frame or b"") for frame in frames]
+        nbytes = len(message) if message else sum(len(frame or b"") for frame in frames)
         with self._transaction() as connection:
-            sequence = self._register(delta, message, sum(sizes))
+            sequence = self._register(delta, message, nbytes)
             if sequence is None:
                 return False
             if points := [(delta.robot, p.stamp_ns, p.T_world_sensor.matrix[:3].astype("<f8").tobytes()) for p in path]:
                 connection.executemany("INSERT OR IGNORE INTO poses VALUES (?, ?, ?, NULL)", points)
             if message and delta.tiles:
                 connection.execute("INSERT INTO messages VALUES (?, ?)", (sequence, message))
-            for tile, frame, size in zip(delta.tiles, frames, sizes, strict=True):
-                self._append(delta.robot, sequence, tile, frame, size)
+            for tile, frame in zip(delta.tiles, frames, strict=True):
+                self._append(delta.robot, sequence, tile, frame)
             if delta.robot in self._tops:
                 self._tops[delta.robot] = self._tops[delta.robot].with_(delta)
         return True
@@ -210,7 +211,7 @@ class SqliteStore:
         )
         return cursor.lastrowid if cursor.rowcount else None
 
-    def _append(self, robot: str, sequence: int, tile: TileCells, frame: bytes | None, size: int) -> None:
+    def _append(self, robot: str, sequence: int, tile: TileCells, frame: bytes | None) -> None:
         where = (robot, tile.key.level, tile.key.x, tile.key.y)
         self._connection.execute(
             "INSERT INTO history VALUES (?, ?, ?, ?, ?, ?, ?)", (sequence, *where, len(tile.at), frame)
@@ -218,11 +219,11 @@ class SqliteStore:
         ((base, tail),) = self._connection.execute(
             "INSERT INTO contributions VALUES (?, ?, ?, ?, ?, ?, 0, ?) "
             "ON CONFLICT (robot, level, x, y) DO UPDATE SET revision = max(revision, excluded.revision), "
-            "stamp_ns = max(stamp_ns, excluded.stamp_ns), tail_bytes = tail_bytes + excluded.tail_bytes "
-            "RETURNING base_bytes, tail_bytes",
-            (*where, *tile.newest, size),
+            "stamp_ns = max(stamp_ns, excluded.stamp_ns), tail_cells = tail_cells + excluded.tail_cells "
+            "RETURNING base_cells, tail_cells",
+            (*where, *tile.newest, len(tile.at)),
         ).fetchall()
-        if tail > max(2 * base, MIN_TAIL_BYTES):
+        if tail > max(2 * base, MIN_TAIL_CELLS):
             if self._together:
                 self._folding.put(where)
             else:
@@ -231,13 +232,13 @@ class SqliteStore:
     def _fold(self, where: Where) -> None:
         """Fold a contribution's tail into its base, while others write."""
         with self._lock, _faults(self.file):
-            frames, tail = self._frames(where), self._tail_bytes(where)
+            frames, tail = self._frames(where), self._tail_cells(where)
         folded = self._folded(where, frames)
         with self._transaction():
             self._rebase(where, frames[-1].sequence, folded, tail)
 
-    def _tail_bytes(self, where: Where) -> int:
-        query = f"SELECT tail_bytes FROM contributions WHERE {PLACE}"
+    def _tail_cells(self, where: Where) -> int:
+        query = f"SELECT tail_cells FROM contributions WHERE {PLACE}"
         return int(self._connection.execute(query, where).fetchone()[0])
 
     def _folded(self, where: Where, frames: Iterable[_Frame]) -> tuple[int, bytes]:
@@ -251,8 +252,8 @@ class SqliteStore:
             "INSERT OR REPLACE INTO bases VALUES (?, ?, ?, ?, ?, ?, ?)", (*where, through, count, base)
         )
         self._connection.execute(
-            f"UPDATE contributions SET base_bytes = ?, tail_bytes = tail_bytes - ? WHERE {PLACE}",
-            (len(base), tail, *where),
+            f"UPDATE contributions SET base_cells = ?, tail_cells = tail_cells - ? WHERE {PLACE}",
+            (count, tail, *where),
         )
 
     def _dense(self, where: Where, frames: Iterable[_Frame]) -> Array:
@@ -405,11 +406,6 @@ class _Frame(NamedTuple):
     """Cells."""
     packed: bytes | None
     message: bytes
-
-
-def _sizes(delta: Delta, message: bytes) -> list[int]:
-    """About what each tile takes of a message."""
-    return [len(message) * len(tile.at) // max(delta.cell_count, 1) for tile in delta.tiles]
 
 
 def _connect(path: Path) -> sqlite3.Connection:

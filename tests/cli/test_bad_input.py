@@ -319,7 +319,7 @@ def test_outliers_name_their_remedy(out: Path, tmp_path: Path) -> None:
 
 
 def test_interrupting_says_that_the_work_is_kept(out: Path, tmp_path: Path) -> None:
-    log = record(tmp_path / "long.mcap", 1, 400, points=4000)
+    log = record(tmp_path / "long.mcap", 1, 1200, points=4000)
     process = subprocess.Popen(
         [*PROGRAM, "map", f"r1={log}", "--out", str(out)], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )

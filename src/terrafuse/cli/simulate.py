@@ -27,7 +27,7 @@ Threads = Annotated[
 MOVES_MPS = 0.05
 """A robot that is faster moves."""
 MOST_THREADS = min(4, os.cpu_count() or 1)
-DEMO, DEMO_ROBOTS, DEMO_S = "village", 3, 120.0
+DEMO, DEMO_ROBOTS, DEMO_S = "village", 3, 60.0
 REDRAW_S = 0.2
 
 

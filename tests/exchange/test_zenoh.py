@@ -16,7 +16,7 @@ from terrafuse.errors import InputError, TerrafuseError
 from terrafuse.exchange.links import Link
 from terrafuse.exchange.links import zenoh as links_zenoh
 from terrafuse.exchange.links.topics import key_of, topic_of
-from terrafuse.exchange.links.transport import Address, Transport, address
+from terrafuse.exchange.links.transport import LARGEST_BATCH, Address, Transport, address
 from terrafuse.exchange.links.zenoh import ZenohLink
 from terrafuse.testing.links import LinkTests
 from terrafuse.testing.relay import Mishaps, Relay
@@ -25,6 +25,12 @@ from tests.exchange.zenoh_nodes import LOOPBACK, PATIENCE_S, collected, free_por
 
 def plain(**settings: object) -> Transport:
     return Transport(insecure=True, **settings)  # type: ignore[arg-type]
+
+
+def received(link: ZenohLink) -> int:
+    """How many frames came by now; they are taken."""
+    link.receive(0)
+    return link.counts["frames_received"]
 
 
 @pytest.fixture
@@ -152,21 +158,25 @@ def test_what_does_not_fit_the_queue_is_dropped_and_counted(here: str) -> None:
         robot.send("x", bytes(50_000), 0)
     until(lambda: robot.counts["frames_sent"] + robot.counts["dropped.queue"] == 1000, "an end")
     assert robot.counts["dropped.queue"] > 0
-    until(lambda: station.counts["frames_received"] == robot.counts["frames_sent"], "frames")
+    until(lambda: received(station) == robot.counts["frames_sent"], "frames")
     for link in (robot, station):
         link.close()
 
 
 def test_an_inbox_that_nobody_empties_is_bounded(here: str) -> None:
-    """100 kB hold ten frames of 10 kB."""
-    station = ZenohLink("station", plain(listen=here, inbox_bytes=100_000))
-    station.listen("x")
-    robot = ZenohLink("r4", plain(connect=here))
-    for _ in range(50):
-        robot.send("x", bytes(10_000), 0)
-    until(lambda: station.counts["dropped.inbox"] == 40, "frames")
-    assert len(station.receive(0)) == 10
-    for link in (robot, station):
+    """It keeps the newest."""
+    station = ZenohLink("station", plain(listen=here, inbox_bytes=10 * LARGEST_BATCH))
+    robot, other = ZenohLink("r4", plain(connect=here)), ZenohLink("r5", plain(connect=here))
+    for link in (station, other):
+        link.listen("x")
+    until(lambda: station.nodes() == ["r4", "r5"], "robots")
+    for number in range(50):
+        robot.send("x", bytes([number]), 0)
+    until(lambda: received(other) == 50, "frames, where somebody empties it")
+    assert [frame.payload[0] for frame in station.receive(0)] == list(range(40, 50))
+    assert station.counts["full.inbox"] == 1
+    assert station.receive(0) == []
+    for link in (robot, other, station):
         link.close()
 
 

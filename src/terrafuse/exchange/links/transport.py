@@ -34,7 +34,8 @@ class Transport:
     queue_bytes: int = 1 << 20
     """What may wait to be sent; a frame beyond is dropped, and counted."""
     inbox_bytes: int = 64 << 20
-    """What may wait to be received, likewise."""
+    """What may wait to be received of a topic that is listened to, a frame counted as the batch that it came in; the
+    oldest are dropped."""
     buffer_bytes: int = 65_536
     """Of a socket. What lies there can't be overtaken: take a second's worth on a thin link."""
     hung_s: float = 10.0

@@ -224,46 +224,48 @@ def _symbols(data, at, contexts, symbols):
     """The next column, (N,); False where the bytes end before.
 
     A whole column in one function, and what it counts with in locals: a function for a symbol takes ten times as long.
+    Indices are unsigned, or Numba would ask of each whether it counts from the end.
     """
     chance, seen = np.full(CONTEXTS * CLASSES, HALF, np.int64), np.zeros(CONTEXTS * CLASSES, np.int64)
     code, range_, front, back, plain, plain_count = at[0], at[1], at[2], at[3], at[4], at[5]
-    first = 0
+    first = np.uint64(0)
     for k in range(symbols.shape[0]):
-        own, ends = 0, False
+        here, ends = first, False
         while not ends:
-            p, n = chance[first + own], seen[first + own]
-            seen[first + own] = n + (n < STEADY)
+            p, n = chance[here], seen[here]
+            seen[here] = n + (n < STEADY)
             bound = (range_ >> 16) * p
             ends = code < bound
             if ends:
                 range_ = bound
-                chance[first + own] = p + (((ONE - p) * SHARE[n]) >> 16)
+                chance[here] = p + (((ONE - p) * SHARE[np.uint64(n)]) >> 16)
             else:
                 code -= bound
                 range_ -= bound
-                chance[first + own] = p - ((p * SHARE[n]) >> 16)
-                own += 1
-                if own > MOST_CLASS:
+                chance[here] = p - ((p * SHARE[np.uint64(n)]) >> 16)
+                here += np.uint64(1)
+                if here > first + np.uint64(MOST_CLASS):
                     return False
             while range_ < RENEW:
                 if front >= back:
                     return False
                 range_ <<= 8
-                code = (code << 8) | np.int64(data[front])
+                code = (code << 8) | np.int64(data[np.uint64(front)])
                 front += 1
+        own = np.int64(here - first)
         symbol, bits = own, own - DIRECT
         if bits > 0:
             while plain_count < bits:
                 if front >= back:
                     return False
                 back -= 1
-                plain |= np.int64(data[back]) << plain_count
+                plain |= np.int64(data[np.uint64(back)]) << plain_count
                 plain_count += 8
             symbol = (np.int64(1) << bits) + (plain & ((np.int64(1) << bits) - 1)) + 1
             plain >>= bits
             plain_count -= bits
         symbols[k] = symbol
-        first = CLASSES * min(own, contexts - 1)
+        first = np.uint64(CLASSES * min(own, contexts - 1))
     at[0], at[1], at[2], at[3], at[4], at[5] = code, range_, front, back, plain, plain_count
     return True
 

@@ -32,6 +32,15 @@ def test_newest_are_the_largest(seed: int, count: int) -> None:
     assert content.newest_of(revisions, stamps) == (revisions.max(initial=0), stamps.max(initial=0))
 
 
+@given(seed=st.integers(0, 2**31), count=st.integers(0, 9))
+def test_looking_up_is_indexing(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    which, stamps, revisions = rng.integers(0, 3, count), rng.integers(0, 2**62, 3), rng.integers(0, 9, 3, np.uint32)
+    cells = np.zeros(count, absorb.CELL)
+    content.look_up(which, stamps, revisions, cells["stamp"], cells["revision"])
+    assert (cells["stamp"].tolist(), cells["revision"].tolist()) == (stamps[which].tolist(), revisions[which].tolist())
+
+
 def test_each_flaw_is_named() -> None:
     starts, one = np.zeros(1, np.int64), np.ones(2, np.uint32)
     rising, stamps = np.array([3, 4], np.int32), np.zeros(2, np.int64)

@@ -25,7 +25,7 @@ import zstandard
 from terrafuse.errors import CodecError, DeltaError, LatticeError
 from terrafuse.exchange.delta import MAX_REVISION, Delta, MapId, TileCells, check_content, check_outline
 from terrafuse.exchange.profiles import CODES, EXACT, PROFILES, Profile
-from terrafuse.kernels import adaptive, columns
+from terrafuse.kernels import adaptive, columns, content
 from terrafuse.tile import opaque
 from terrafuse.types import Array, TileKey
 
@@ -347,7 +347,7 @@ def _rounded_tiles(
     cells = profile.cells(found.numbers[1:])
     if cells.dtype != cell:
         raise CodecError(f"cells of '{header.model}' with fields {fields_of(cells.dtype)}, not {fields_of(cell)}")
-    cells["stamp"], cells["revision"] = stamps[found.numbers[0]], revisions[found.numbers[0]]
+    content.look_up(found.numbers[0], stamps, revisions, cells["stamp"], cells["revision"])
     edges = found.starts.tolist()
     return tuple(
         TileCells(TileKey(x, y), found.places[first:end], cells[first:end])

@@ -37,6 +37,14 @@ def newest_of(revisions, stamps):
     return revision, stamp
 
 
+@njit(cache=True, nogil=True)
+def look_up(which, table, other_table, values, other_values):
+    """values[k] = table[which[k]], and of the others likewise; `which` holds indices into the tables."""
+    for k in range(which.shape[0]):
+        values[k] = table[which[k]]
+        other_values[k] = other_table[which[k]]
+
+
 def flaw_of_reference(starts: Array, at: Array, revisions: Array, stamps: Array, area: int, newest: int) -> int:
     """What `flaw_of` must equal."""
     steps = np.diff(at.astype(np.int64), prepend=-1)

@@ -25,7 +25,7 @@ from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -61,8 +61,8 @@ NAME = "r{:05d}"
 NOBODY, EARLY = NAME.format(99_999), 99_998
 SETTLE_S = 5.0
 """After the last delta, for what still waits."""
-EARLIER_S = 5.0
-"""Before the others, a robot that the station warms up with."""
+QUIET_S, QUIET_SHARE = 4.0, 0.93
+"""Nothing else runs where processors have nothing to do for so long, for such a share of it."""
 LOOK_S = 0.002
 CHECKED = 3
 CLOCK_TICKS, PAGE_BYTES = os.sysconf("SC_CLK_TCK"), os.sysconf("SC_PAGE_SIZE")
@@ -224,6 +224,39 @@ def _hear(link: ZenohLink, levels: dict[int, int], said: dict[tuple[int, int], i
 # --- the station ------------------------------------------------------------------------------------------------------
 
 
+class Second(NamedTuple):
+    """Processor seconds are counted from when each began."""
+
+    at_ns: int
+    station_s: float
+    generators_s: float
+    idle_s: float
+    stolen_s: float
+    resident_bytes: int
+
+
+def cpu_s(process: int) -> float:
+    times = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(times[11]) + int(times[12])) / CLOCK_TICKS
+
+
+def machine_s() -> tuple[float, float]:
+    """In which processors had nothing to do, and were taken away by the host of a virtual machine."""
+    times = [int(word) / CLOCK_TICKS for word in Path("/proc/stat").read_text().splitlines()[0].split()[1:]]
+    return times[3] + times[4], times[7]
+
+
+def wait_for_quiet(patience_s: float) -> None:
+    """Until nothing else runs."""
+    deadline = time.monotonic() + patience_s
+    while time.monotonic() < deadline:
+        before, _ = machine_s()
+        time.sleep(QUIET_S)
+        if machine_s()[0] - before > (os.cpu_count() or 1) * QUIET_S * QUIET_SHARE:
+            return
+    print(f"something else still runs after {patience_s:g} s", file=sys.stderr)
+
+
 class Station:
     """The process, and what it costs from second to second."""
 
@@ -232,14 +265,13 @@ class Station:
         command = [sys.executable, *program, "station", "--insecure", "--resolution", str(RESOLUTION_M)]
         command += ["--store", str(store), "--listen", f"tcp/{LOOPBACK}:{port}", "--name", STATION]
         self.process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-        self.seconds: list[tuple[int, float, int]] = []
-        """When, processor seconds so far, resident bytes."""
+        self.seconds: list[Second] = []
 
-    def look(self) -> None:
-        stat = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
+    def look(self, generators: Sequence[int]) -> None:
         pages = int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1])
-        cpu_s = (int(stat[11]) + int(stat[12])) / CLOCK_TICKS
-        self.seconds.append((time.time_ns(), cpu_s, pages * PAGE_BYTES))
+        beside_s = sum(map(cpu_s, generators))
+        station_s = cpu_s(self.process.pid)
+        self.seconds.append(Second(time.time_ns(), station_s, beside_s, *machine_s(), pages * PAGE_BYTES))
 
     def leave(self) -> None:
         self.process.terminate()
@@ -272,14 +304,15 @@ def run(asked: Namespace, folder: Path) -> dict[str, Any]:
             process.start()
             generators.append((process, here))
         made = [pipe.recv() for _, pipe in generators]
-        begin_ns = time.time_ns() + round(EARLIER_S * SECOND_NS)
+        wait_for_quiet(asked.patience)
+        begin_ns = time.time_ns() + SECOND_NS
         for _, pipe in generators:
             pipe.send(begin_ns)
         while not all(pipe.poll() for _, pipe in generators):
-            station.look()
+            station.look([process.pid or 0 for process, _ in generators])
             time.sleep(1 - time.time() % 1)
         heard = [pipe.recv() for _, pipe in generators]
-        station.look()
+        station.look([])
     finally:
         station.leave()
         for process, _ in generators:
@@ -314,8 +347,7 @@ def size_mb(folder: Path) -> float:
 
 
 def evaluate(
-    heard: list[dict[str, Any]], fused: dict[tuple[int, int], int], seconds: list[tuple[int, float, int]],
-    begin_ns: int, count: int,
+    heard: list[dict[str, Any]], fused: dict[tuple[int, int], int], seconds: list[Second], begin_ns: int, count: int,
 ) -> dict[str, Any]:  # fmt: skip
     published = {at: ns for each in heard for at, ns in each["published"].items()}
     said = {at: ns for each in heard for at, ns in each["said"].items()}
@@ -330,21 +362,27 @@ def evaluate(
         waiting = int(((left < edge) & (~there | (came > edge))).sum())
         row = {"second": (edge - begin_ns) // SECOND_NS, "fused p99 ms": _percentile((came - left)[within] / 1e6, 99)}
         table.append(row | {"longest ms": _percentile((came - left)[within] / 1e6, 100), "waiting": waiting})
-    begun = [each for each in seconds if begin_ns <= each[0] <= edges[-1]]
-    for row, (_, cpu_s, rss), (_, before_s, _) in zip(table[1:], begun[1:], begun, strict=False):
-        row |= {"cores": round(cpu_s - before_s, 2), "RSS MB": round(rss / 1e6)}
+    begun = [each for each in seconds if begin_ns <= each.at_ns <= edges[-1]]
+    for row, after, before in zip(table[1:], begun[1:], begun, strict=False):
+        row |= cores(before, after) | {"RSS MB": round(after.resident_bytes / 1e6)}
+    resident = [round(each.resident_bytes / 1e6) for each in begun]
     return {
         "deltas published": len(keys), "fused": int(there.sum()), "said to be held": len(said),
         "frames dropped by generators": sum(each["dropped"] for each in heard),
         "fused ms": _distribution(took_ms), "said ms": _distribution(said_ms),
         "waiting at most": max(row["waiting"] for row in table),
         "waiting in the last second": table[-1]["waiting"],
-        "station's cores": round((begun[-1][1] - begun[0][1]) / ((begun[-1][0] - begun[0][0]) / 1e9), 2),
-        "station's ms a delta": round(1e3 * (seconds[-1][1] - begun[0][1]) / max(int(there.sum()), 1), 3),
-        "RSS MB": {"first": round(begun[0][2] / 1e6), "middle": round(begun[len(begun) // 2][2] / 1e6),
-                   "last": round(begun[-1][2] / 1e6), "most": round(max(each[2] for each in begun) / 1e6)},
+        "cores": cores(begun[0], begun[-1]),
+        "station's ms a delta": round(1e3 * (seconds[-1].station_s - begun[0].station_s) / max(int(there.sum()), 1), 3),
+        "RSS MB": {"first": resident[0], "middle": resident[len(resident) // 2], "last": resident[-1]},
         "worst second": max(table, key=lambda row: row["fused p99 ms"]), "seconds": table,
     }  # fmt: skip
+
+
+def cores(before: Second, after: Second) -> dict[str, float]:
+    """On average, where they were."""
+    took_s, names = (after.at_ns - before.at_ns) / SECOND_NS, ("station", "generators", "idle", "stolen")
+    return {name: round((after[k] - before[k]) / took_s, 2) for k, name in enumerate(names, start=1)}
 
 
 def _percentile(values: Any, share: float) -> float:
@@ -371,6 +409,7 @@ def main() -> None:
     arguments.add_argument("--generators", type=int, default=2, help="processes that speak for robots")
     arguments.add_argument("--sessions", type=int, default=4, help="connections of each of them")
     arguments.add_argument("--areas", type=int, default=100, help="different drives; several robots see the same")
+    arguments.add_argument("--patience", type=float, default=60.0, help="seconds to wait until nothing else runs")
     arguments.add_argument("--folder", type=Path, help="where the station's store is to lie")
     arguments.add_argument("--sample", type=Path, help="write where the station's threads spend their time here")
     asked = arguments.parse_args()

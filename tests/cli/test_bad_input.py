@@ -234,11 +234,11 @@ def test_a_store_of_a_newer_schema(mapped: Path, tmp_path: Path) -> None:
     copy = tmp_path / "map.db"
     copy.write_bytes((mapped / "map.db").read_bytes())
     with sqlite3.connect(copy) as connection:
-        connection.execute("PRAGMA user_version = 3")
+        connection.execute("PRAGMA user_version = 4")
     for command in (["info", copy], ["export", copy, "--out", tmp_path / "a.tif"]):
         ran = terrafuse(*command)
         assert ran.code == 2
-        assert "map.db: store schema 3 is newer than 2" in ran.err
+        assert "map.db: store schema 4 is newer than 3" in ran.err
         assert "pip install -U terrafuse" in ran.err
     assert not (tmp_path / "a.tif").exists()
 

@@ -7,7 +7,7 @@ GOLDEN = {
         # magic
         "544644"
         # format version
-        "02"
+        "03"
         # form
         "00"
         # header length
@@ -25,13 +25,13 @@ GOLDEN = {
         "0050f007b6a997e44001fe9436356577c40102fe40c00df203fc00ffb05024dbf01031ce06f98977916e31ce13ec"
         "00ff00ff00ff0e00c06b0d0456420203ce749e30b1439132737c77c351a37079572ce5da10c010"
         # CRC-32 of all before
-        "482de850"
+        "08b78e9d"
     ),
     "elevation full": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "02"
+        "03"
         # form
         "01"
         # header length
@@ -39,15 +39,15 @@ GOLDEN = {
         # header, msgpack
         "9ca9656c65766174696f6e0104c0a272310202ce7735940002030209"
         # body
-        "b13c208493d8559f48de98698826aab456a0fa82d558000001812f6282848d476f08"
+        "000001000c400404097c001924692c40288012604804980a010d500076c00384004b826908506618a648"
         # CRC-32 of all before
-        "77503900"
+        "31986de9"
     ),
     "elevation lean": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "02"
+        "03"
         # form
         "02"
         # header length
@@ -55,15 +55,15 @@ GOLDEN = {
         # header, msgpack
         "9ca9656c65766174696f6e0104c0a272310202ce7735940002030209"
         # body
-        "b13c208493d8559f48e410470d475ee8"
+        "00000100020d500075c00374004b826908506618a648"
         # CRC-32 of all before
-        "fbd7aa3c"
+        "43fa1da7"
     ),
     "grey exact": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "02"
+        "03"
         # form
         "00"
         # header length
@@ -75,13 +75,13 @@ GOLDEN = {
         "28b52ffd203c6d0100240200010300b2720096f356aa00fd020002ff0100ff0000009436ca35659a77c43bff0003"
         "0038b7afcbab0044"
         # CRC-32 of all before
-        "3bc9c1d8"
+        "561f2924"
     ),
     "grey full": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "02"
+        "03"
         # form
         "01"
         # header length
@@ -89,15 +89,15 @@ GOLDEN = {
         # header, msgpack
         "9ca4677265790104c0a272310202ce7735940001030209"
         # body
-        "33380525cf9dbe73d851109cf6f6f7112b"
+        "000001000f6801ed003de0010460015c0093493324a424"
         # CRC-32 of all before
-        "1ab93887"
+        "2c13c5d0"
     ),
     "grey lean": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "02"
+        "03"
         # form
         "02"
         # header length
@@ -105,15 +105,15 @@ GOLDEN = {
         # header, msgpack
         "9ca4677265790104c0a272310202ce7735940001030209"
         # body
-        "33380525c2ce3f87ab4b02aaff"
+        "00000100a81502e013c1e093493324a424"
         # CRC-32 of all before
-        "bcee87fa"
+        "4ff35853"
     ),
     "occupancy exact": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "02"
+        "03"
         # form
         "00"
         # header length
@@ -126,13 +126,13 @@ GOLDEN = {
         "0402000104010032f700f042ad003000ff0000000000943600003565000077c402020600c000047755c70ee5fddd"
         "4f06d002"
         # CRC-32 of all before
-        "263f708a"
+        "b0ab1d4f"
     ),
     "occupancy full": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "02"
+        "03"
         # form
         "01"
         # header length
@@ -140,15 +140,15 @@ GOLDEN = {
         # header, msgpack
         "9ca96f63637570616e63790104c0a272310202ce7735940002050209"
         # body
-        "b16ea7ed7a3327cb0353ccfa008a4108"
+        "0000010074848c0528006003004f49468330c22648"
         # CRC-32 of all before
-        "b6f2c40a"
+        "344facf4"
     ),
     "occupancy lean": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "02"
+        "03"
         # form
         "02"
         # header length
@@ -156,15 +156,15 @@ GOLDEN = {
         # header, msgpack
         "9ca96f63637570616e63790104c0a272310202ce7735940002050209"
         # body
-        "b16ea7ed7a2dab6bda9c0a840003a078"
+        "000001001d211e05100303c04f49468330c22648"
         # CRC-32 of all before
-        "a0b390ff"
+        "128ba5bb"
     ),
     "terrain exact": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "02"
+        "03"
         # form
         "00"
         # header length
@@ -181,13 +181,13 @@ GOLDEN = {
         "008f71c23d0df240bf000af6d72823dc3cc380803fc0a99546e57efc3dff01000bf600ff0000000006002a430c45"
         "2966e0813c0081197003"
         # CRC-32 of all before
-        "f689f304"
+        "b7617796"
     ),
     "terrain full": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "02"
+        "03"
         # form
         "01"
         # header length
@@ -195,15 +195,15 @@ GOLDEN = {
         # header, msgpack
         "9ca77465727261696e0104c0a272310202ce7735940002030109"
         # body
-        "b1412d93fec403ae20b5b54b758ead0d200000024934ba3f0eef70"
+        "00000100c90092004d20045d40029f80090e00bb801ba00264244444410a0908a648"
         # CRC-32 of all before
-        "59db84fd"
+        "71e8b4b8"
     ),
     "terrain lean": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "02"
+        "03"
         # form
         "02"
         # header length
@@ -211,8 +211,8 @@ GOLDEN = {
         # header, msgpack
         "9ca77465727261696e0104c0a272310202ce7735940002030109"
         # body
-        "b1412d93f275c53f48f70000010eef70"
+        "00000100804010e00bb801ba002444410a0908a648"
         # CRC-32 of all before
-        "4e535ccd"
+        "3fcc4a7c"
     ),
 }

@@ -41,43 +41,58 @@ COLUMNS["grey", 1], COLUMNS["occupancy", 1] = COLUMNS["grey", 2], COLUMNS["occup
 
 class Body:
     def __init__(self, data: bytes) -> None:
-        self.data, self.front, self.back = data, 4, len(data)
-        self.code, self.range = int.from_bytes(data[:4], "big"), 2**32 - 1
-        self.bits, self.count = 0, 0
-
-    def bit(self, model: dict[Any, list[int]], key: Any) -> int:
-        p, n = model.setdefault(key, [32768, 0])
-        bound, share = (self.range >> 16) * p, 65536 // (min(n, 62) + 2)
-        one = self.code < bound
-        if one:
-            self.range, p = bound, p + ((65536 - p) * share >> 16)
-        else:
-            self.code, self.range, p = self.code - bound, self.range - bound, p - (p * share >> 16)
-        model[key] = [p, n + 1]
-        while self.range < 2**24:
-            self.range, self.code = self.range << 8, self.code << 8 | self.data[self.front]
-            self.front += 1
-        return one
+        self.data, self.front, self.back = data, 4, 0
+        self.state = int.from_bytes(data[:4], "little")
 
     def plain(self, count: int) -> int:
-        while self.count < count:
-            self.back -= 1
-            self.bits |= self.data[self.back] << self.count
-            self.count += 8
-        out = self.bits & (2**count - 1)
-        self.bits, self.count = self.bits >> count, self.count - count
+        out = 0
+        for k in range(count):
+            byte, bit = divmod(self.back + k, 8)
+            out |= (self.data[-1 - byte] >> bit & 1) << k
+        self.back += count
         return out
 
-    def symbols(self, count: int, contexts: int = 4) -> list[int]:
-        model: dict[Any, list[int]] = {}
-        out, before = [], 0
+    def table(self) -> list[int]:
+        weights = []
+        for _ in range(self.plain(6)):
+            level = self.plain(5)
+            s = max((level >> 1) - 1, 0)
+            weights.append((level - (s << 1)) << s)
+        if not weights:
+            return [1024]
+        shares = [max(1, w * 1024 // sum(weights)) if w else 0 for w in weights]
+        shares[weights.index(max(weights))] += 1024 - sum(shares)
+        return shares
+
+    def coded(self, shares: list[int]) -> int:
+        kind, rest = 0, self.state % 1024
+        while rest >= shares[kind]:
+            kind, rest = kind + 1, rest - shares[kind]
+        self.state = shares[kind] * (self.state // 1024) + rest
+        if self.state < 2**16:
+            self.state = self.state * 2**16 + int.from_bytes(self.data[self.front : self.front + 2], "little")
+            self.front += 2
+        return kind
+
+    def unary(self) -> int:
+        kind = 0
+        while not self.plain(1):
+            kind += 1
+        return kind
+
+    def symbols(self, count: int) -> list[int]:
+        mode = self.plain(2) if count else 0
+        assert mode < 3
+        tables = [self.table() for _ in range((0, 1, 4)[mode])]
+        out, kind = [], 0
         for _ in range(count):
-            kind = 0
-            while not self.bit(model, (before, kind)):
-                kind += 1
+            kind = self.coded(tables[min(kind, len(tables) - 1)]) if tables else self.unary()
             out.append(kind if kind <= 2 else 2 ** (kind - 2) + 1 + self.plain(kind - 2))
-            before = min(kind, contexts - 1)
         return out
+
+    def ended(self) -> bool:
+        left = 8 * len(self.data) - 8 * self.front - self.back
+        return self.state == 2**16 and 0 <= left < 8 and self.plain(left) == 0
 
 
 def unfold(symbol: int) -> int:
@@ -94,7 +109,7 @@ def expected(at: dict[Any, int], x: int, j: int, i: int, last: int) -> int:
 def column(body: Body, kind: str, chosen: list[int], places: list[tuple[int, int, int]]) -> list[int]:
     numbers, known = [0] * len(places), {}
     (alike,) = body.symbols(1)
-    symbols = [] if alike else body.symbols(len(chosen), 4 if kind == PLAIN else 1)
+    symbols = [] if alike else body.symbols(len(chosen))
     following, last, picked = iter(symbols), 0, set(chosen)
     for k, place in enumerate(places):
         if k in picked:
@@ -108,7 +123,7 @@ def column(body: Body, kind: str, chosen: list[int], places: list[tuple[int, int
 
 def decode(message: bytes) -> tuple[dict[str, Any], dict[tuple[int, int], list[Any]]]:
     magic, version, form, length = struct.unpack_from("<3sBBI", message)
-    assert (magic, version) == (b"TFD", 2)
+    assert (magic, version) == (b"TFD", 3)
     assert zlib.crc32(message[:-4]) == struct.unpack("<I", message[-4:])[0]
     fields = msgspec.msgpack.decode(message[9 : 9 + length])
     header = dict(zip(NAMES + (ROUNDED if form else EXACT), fields, strict=True))
@@ -144,7 +159,7 @@ def rounded(header: dict[str, Any], form: int, data: bytes) -> dict[tuple[int, i
     for name, kind, where in [("seen", PLAIN, None), *COLUMNS[header["model"], form]]:
         chosen = [k for k in range(len(at)) if where is None or columns[where][k]]
         columns[name] = column(body, kind, chosen, places)
-    assert (body.front, body.bits) == (body.back, 0)
+    assert body.ended()
     tiles: dict[tuple[int, int], list[Any]] = {}
     for k, seen in enumerate(columns.pop("seen")):
         stamp_ns = header["stamp_ns"] - unfold(highs[seen] << 32 | lows[seen]) * 10 ** header["digits"]

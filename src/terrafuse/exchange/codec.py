@@ -3,7 +3,7 @@
     "TFD" · version · form · header length (uint32 LE) · header (msgpack) · body · CRC-32 (uint32 LE)
 
 A delta whose cells a profile has rounded takes that profile's form: the body is its numbers, differences to neighbours
-in short codes (`exchange.profiles`, `kernels.adaptive`). Any other takes the form `exact`: a zstd frame a tile, of
+in short codes (`exchange.profiles`, `kernels.entropy`). Any other takes the form `exact`: a zstd frame a tile, of
 columns. Which one is seen by the cells, so that who passes a delta on needs no knowledge of how it was made.
 
 A decoder trusts no length: everything is bounded before memory is taken, and any fault rejects the whole message.
@@ -25,12 +25,12 @@ import zstandard
 from terrafuse.errors import CodecError, DeltaError, LatticeError
 from terrafuse.exchange.delta import MAX_REVISION, Delta, MapId, TileCells, check_content, check_outline
 from terrafuse.exchange.profiles import CODES, EXACT, PROFILES, Profile
-from terrafuse.kernels import adaptive, columns, content
+from terrafuse.kernels import columns, content, entropy
 from terrafuse.tile import opaque
 from terrafuse.types import Array, TileKey
 
 MAGIC = b"TFD"
-VERSION = 2
+VERSION = 3
 ZSTD_LEVEL = 3
 MAX_MESSAGE = 1 << 30
 MAX_CELLS = 1 << 24
@@ -287,14 +287,14 @@ def _encode_rounded(delta: Delta, name: str, profile: Profile) -> bytes | None:
     counts, digits = [len(tile.at) for tile in delta.tiles], _digits(gcd(*ages))
     header = _Rounded(**_common(delta), tiles=len(counts), cells=sum(counts), pairs=len(ages), digits=digits)
     folded = [_folded(age // 10**digits) for age in ages]
-    whole = adaptive.Unpacked(
+    whole = entropy.Unpacked(
         np.array([(tile.key.x, tile.key.y) for tile in delta.tiles], np.int64),
         np.cumsum([0, *counts]),
         np.array([delta.revision - revisions, [age & LOW for age in folded], [age >> 32 for age in folded]], np.int64),
         np.concatenate([tile.at for tile in delta.tiles]).astype(np.int64),
         np.vstack([seen, numbers]),
     )
-    return _sealed(name, header, [adaptive.packed(whole, delta.map.lattice.tile_cells, profile.plan)])
+    return _sealed(name, header, [entropy.packed(whole, delta.map.lattice.tile_cells, profile.plan)])
 
 
 def _numbers_of(cells: Array, profile: Profile) -> Array | None:
@@ -340,7 +340,7 @@ def _rounded_tiles(
     if not 0 < header.pairs <= header.cells:
         raise CodecError(f"{header.pairs} stamps and revisions for {header.cells} cells")
     table = TABLE_ROWS, header.pairs
-    found = adaptive.unpacked(np.frombuffer(body, np.uint8), header.tiles, header.cells, table, side, profile.plan)
+    found = entropy.unpacked(np.frombuffer(body, np.uint8), header.tiles, header.cells, table, side, profile.plan)
     if found is None:
         raise CodecError("a body that does not hold the cells that its header tells of")
     stamps, revisions = _table(header, found.table)

@@ -31,7 +31,7 @@ from terrafuse.store.base import HistoryEntry, PathPoint, check_delta, identity_
 from terrafuse.store.folding import Folding
 from terrafuse.types import Array, Pose, Stamp, TileKey
 
-SCHEMA = 2
+SCHEMA = 3
 APPLICATION_ID = 0x54465553  # "TFUS"
 MIN_TAIL_CELLS = 1 << 16
 """A tail that is not longer is left: reading it takes 10 ms at most, and folding it takes as long."""

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from terrafuse.kernels.adaptive import ALWAYS, MOST, PLAIN, SIGNED, Plan
+from terrafuse.kernels.entropy import ALWAYS, MOST, PLAIN, SIGNED, Plan
 from terrafuse.lattice import Lattice
 from terrafuse.tile import opaque
 from terrafuse.types import Array
@@ -25,7 +25,7 @@ class Quantity:
 
     name: str
     kind: int = PLAIN
-    """PLAIN, SIGNED or PREDICTED from neighbours (kernels.adaptive)."""
+    """PLAIN, SIGNED or PREDICTED from neighbours (kernels.entropy)."""
     most: int = MOST
     """The largest number."""
     where: str | None = None

@@ -16,7 +16,7 @@ import numpy as np
 from terrafuse.exchange.profiles.base import Profile, Quantity, at_level, level, level_above, level_below, most_level
 from terrafuse.kernels import rounded
 from terrafuse.kernels.absorb import CELL, GROUND_OF_CELL, vertical
-from terrafuse.kernels.adaptive import PREDICTED, SIGNED
+from terrafuse.kernels.entropy import PREDICTED, SIGNED
 from terrafuse.kernels.evidence import TWO_64
 from terrafuse.kernels.rounded import CM2, MM2, MOST_COUNT, STEP
 from terrafuse.lattice import Lattice

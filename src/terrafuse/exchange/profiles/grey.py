@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from terrafuse.exchange.profiles.base import Profile, Quantity
-from terrafuse.kernels.adaptive import PREDICTED
+from terrafuse.kernels.entropy import PREDICTED
 from terrafuse.kernels.grey import CELL, FULL
 from terrafuse.types import Array
 

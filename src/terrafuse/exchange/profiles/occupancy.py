@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from terrafuse.exchange.profiles.base import Profile, Quantity, at_level, level_above, most_level
-from terrafuse.kernels.adaptive import MOST, PREDICTED
+from terrafuse.kernels.entropy import MOST, PREDICTED
 from terrafuse.kernels.occupancy import CELL, MOST_UPDATES
 from terrafuse.types import Array
 

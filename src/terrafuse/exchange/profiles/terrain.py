@@ -7,7 +7,7 @@ import numpy as np
 
 from terrafuse.exchange.profiles.base import Profile, Quantity, at_level, level, most_level, steps
 from terrafuse.kernels import rounded
-from terrafuse.kernels.adaptive import MOST, PREDICTED, SIGNED
+from terrafuse.kernels.entropy import MOST, PREDICTED, SIGNED
 from terrafuse.kernels.terrain import (
     CELL,
     COARSE,

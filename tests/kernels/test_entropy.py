@@ -1,4 +1,4 @@
-"""Columns as adaptive codes: as the reference, back again, and never beyond the bytes."""
+"""Columns as codes: as the reference, back again, and never beyond the bytes."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from terrafuse.kernels import adaptive
-from terrafuse.kernels.adaptive import ALWAYS, MOST, PLAIN, PREDICTED, SIGNED, Plan, Unpacked
+from terrafuse.kernels import entropy
+from terrafuse.kernels.entropy import ALWAYS, MOST, PLAIN, PREDICTED, SIGNED, Plan, Unpacked
 
 SIDE = 8
 KINDS = np.array([PLAIN, SIGNED, PREDICTED, PREDICTED])
@@ -32,11 +32,11 @@ def columns(seed: int, spread: int) -> Unpacked:
 
 
 def packed(whole: Unpacked, plan: Plan = PLAN) -> bytes:
-    return adaptive.packed(whole, SIDE, plan)
+    return entropy.packed(whole, SIDE, plan)
 
 
 def unpacked(data: bytes, tiles: int, cells: int, table: tuple[int, int] = (0, 3)) -> Unpacked | None:
-    return adaptive.unpacked(np.frombuffer(data, np.uint8), tiles, cells, table, SIDE, PLAN)
+    return entropy.unpacked(np.frombuffer(data, np.uint8), tiles, cells, table, SIDE, PLAN)
 
 
 def assert_same(one: Unpacked | None, other: Unpacked) -> None:
@@ -52,30 +52,42 @@ def test_what_is_packed_is_unpacked_as_the_reference_does(seed: int, spread: int
     size = len(whole.keys), len(whole.places), whole.table.shape
     data = packed(whole)
     assert_same(unpacked(data, *size), whole)
-    assert_same(adaptive.read_reference(data, *size, SIDE, PLAN), whole)
+    assert_same(entropy.read_reference(data, *size, SIDE, PLAN), whole)
 
 
 @given(seed=st.integers(0, 2**31), spread=st.sampled_from(SPREADS), more=st.binary(min_size=1, max_size=3))
 @settings(max_examples=50, deadline=None)
-def test_bytes_too_few_or_too_many_are_none(seed: int, spread: int, more: bytes) -> None:
+def test_bytes_too_few_or_too_many_are_none_or_within_bounds(seed: int, spread: int, more: bytes) -> None:
     whole = columns(seed, spread)
     size, data = (len(whole.keys), len(whole.places), whole.table.shape), packed(whole)
-    for k in range(len(data)):
-        assert unpacked(data[:k], *size) is None
-    assert unpacked(data + more, *size) is None
+    for wrong in [*(data[:k] for k in range(len(data))), data + more]:
+        assert_within_bounds(unpacked(wrong, *size), size[1], size[2][1])
+
+
+@given(seed=st.integers(0, 2**31), place=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
+@settings(max_examples=300, deadline=None)
+def test_damaged_bytes_are_none_or_within_bounds(seed: int, place: float, bit: int) -> None:
+    whole = columns(seed, 5)
+    data = bytearray(packed(whole))
+    data[int(place * len(data))] ^= 1 << bit
+    size = len(whole.keys), len(whole.places), whole.table.shape
+    assert_within_bounds(unpacked(bytes(data), *size), size[1], size[2][1])
 
 
 @given(data=st.binary(max_size=80), tiles=st.integers(1, 5), cells=st.integers(1, 200))
 @settings(max_examples=500, deadline=None)
 def test_noise_is_none_or_within_bounds(data: bytes, tiles: int, cells: int) -> None:
-    out = unpacked(data, tiles, cells, (1, 3))
+    assert_within_bounds(unpacked(data, tiles, cells, (1, 3)), cells, 3)
+
+
+def assert_within_bounds(out: Unpacked | None, cells: int, pairs: int) -> None:
     if out is None:
         return
     assert out.starts[[0, -1]].tolist() == [0, cells]
     assert (np.diff(out.starts) > 0).all()
     assert ((out.places >= 0) & (out.places < SIDE * SIDE)).all()
     assert (abs(out.numbers) <= MOST).all()
-    assert ((out.numbers[0] >= 0) & (out.numbers[0] < 3)).all()
+    assert ((out.numbers[0] >= 0) & (out.numbers[0] < pairs)).all()
     assert_rising(out)
 
 
@@ -95,43 +107,74 @@ def test_numbers_beyond_bounds_are_none() -> None:
         highest = np.full(4, MOST)
         highest[column] = most
         plan = PLAN._replace(highest=highest)
-        assert adaptive.unpacked(np.frombuffer(data, np.uint8), 1, 3, (0, 3), SIDE, plan) is None
+        assert entropy.unpacked(np.frombuffer(data, np.uint8), 1, 3, (0, 3), SIDE, plan) is None
 
 
 def test_counts_that_are_not_the_cells_are_none() -> None:
     for counts in ([2**46, 2**46], [1, 2**46], [3, 1], [1, 1]):
         symbols = np.concatenate([np.zeros(4, np.int64), np.array(counts) - 1, np.zeros(3 + 4, np.int64)])
         lengths = np.array([2, 2, 2, 3, 1, 1, 1, 1])
-        out = np.empty(1000, np.uint8)
-        used = adaptive.write(symbols, lengths, np.full(8, 4), out)
-        assert unpacked(out[:used].tobytes(), 2, 3) is None
+        assert unpacked(entropy.write(symbols, lengths, np.full(8, 4)).tobytes(), 2, 3) is None
 
 
 @pytest.mark.parametrize("symbol", [0, 1, 2, 3, 4, 5, 8, 9, 2**20, 2**46])
 def test_classes(symbol: int) -> None:
     # 0, 1, 2 by themselves; 3-4 are class 3, 5-8 class 4, 9-16 class 5, ...: class c holds 2^(c-2) + 1 to 2^(c-1).
-    own = adaptive.class_of(symbol)
+    own = entropy.class_of(symbol)
     assert own == symbol if symbol <= 2 else 2 ** (own - 2) + 1 <= symbol <= 2 ** (own - 1)
 
 
-def test_few_symbols_by_hand() -> None:
-    """One column of the symbols 0, 1: bits 1, then (after class 0) 0 1; and no plain bits.
+def test_short_columns_are_plain() -> None:
+    """The symbols 0, 6: mode 0 is 00, class 0 is 1, class 4 is 00001, of 5 to 8 the one after 5 is 1 in 2 bits: 10.
 
-    p(end) = 1/2 at first. Bit 1: the lower half, range 2³² - 1 → (range >> 16)·32768 = 0x7FFF8000, p → 49152 = 3/4.
-    Bit 0 of the symbol 1, again after class 0 (as at the start): bound = 0x7FFF·49152 = 0x5FFF4000; above it: low =
-    0x5FFF4000, range = 0x7FFF8000 - 0x5FFF4000 = 0x20004000. Bit 1 (new p = 1/2): range = (0x2000)·32768 = 0x10000000.
-    What is sent is low: 5F FF 40 00.
+    From the last byte on, the lowest bit first: 00 1 00001, then 10: 0x84 and 0x01. Before them the state 2¹⁶.
     """
-    out = np.empty(100, np.uint8)
-    used = adaptive.write(np.array([0, 1]), np.array([2]), np.array([4]), out)
-    assert out[:used].tobytes().hex() == "5fff4000"
+    assert entropy.write(np.array([0, 6]), np.array([2]), np.array([4])).tobytes().hex() == "00000100" + "0184"
+
+
+def test_long_columns_have_a_table() -> None:
+    """48 symbols 0, then 16 symbols 1.
+
+    Plain: mode 1 is 10; two classes are 010000; weight 48 = 3 · 2⁴ is the level 2 · 4 + 3 = 11, so 11010; 16 = 2 · 2³
+    is the level 8: 00010. From the last byte on: 10 010000 = 0x09; 11010 000 = 0x0b; 10 = 0x01.
+
+    Shares are 48 · 1024 / 64 = 768 and 256; the writer goes from the last symbol to the first.
+    """
+    x, words = 1 << 16, []
+    for shares, before in [(256, 768)] * 16 + [(768, 0)] * 48:
+        if x >= shares << 22:
+            words.append(x % 2**16)
+            x >>= 16
+        x = x // shares * 1024 + before + x % shares
+    coded = b"".join(word.to_bytes(2, "little") for word in [x % 2**16, x >> 16, *reversed(words)])
+    found = entropy.write(np.array([0] * 48 + [1] * 16), np.array([64]), np.array([1])).tobytes()
+    assert found.hex() == coded.hex() + "010b09"
+
+
+@given(levels=st.lists(st.integers(0, 31), min_size=1, max_size=entropy.CLASSES))
+def test_shares(levels: list[int]) -> None:
+    shares = np.empty(len(levels), np.int64)
+    if not entropy.share(np.array(levels), shares):
+        assert not any(levels)
+        return
+    assert shares.tolist() == entropy.shares_reference(levels)
+    assert shares.sum() == entropy.SHARES
+    assert ((shares > 0) == (np.array(levels) > 0)).all()
+
+
+@pytest.mark.parametrize("contexts", [1, 4])
+def test_what_repeats_takes_little(contexts: int) -> None:
+    symbols = np.tile([0, 7, 7, 0], 500)
+    found = entropy.write(symbols, np.array([2000]), np.array([contexts]))
+    # A bit for each class, and 2 plain bits of each 7.
+    assert len(found) < 30 + 2000 / 8 + 1000 * 2 / 8
 
 
 def neighbours(*tiles: tuple[int, int, list[int]]) -> tuple[list[int], list[int]]:
     at = np.array([place for *_, places in tiles for place in places])
     west, north = np.empty((2, len(at)), np.int64)
     keys, starts = np.array([tile[:2] for tile in tiles]), np.cumsum([0, *(len(places) for *_, places in tiles)])
-    adaptive.neighbours(keys, starts, at, SIDE, west, north)
+    entropy.neighbours(keys, starts, at, SIDE, west, north)
     return west.tolist(), north.tolist()
 
 
@@ -150,11 +193,11 @@ def expected(numbers: list[int], west: list[int], north: list[int]) -> int:
     """Of the last cell; what is symbols of it and of those before is their difference to that."""
     values, symbols = np.array(numbers), np.empty(len(numbers), np.int64)
     ends = np.array(west), np.array(north), -100, 100
-    assert adaptive.differences(adaptive.PREDICTED, values, values[:0], *ends, symbols, False)
+    assert entropy.differences(entropy.PREDICTED, values, values[:0], *ends, symbols, False)
     again = np.empty_like(values)
-    assert adaptive.differences(adaptive.PREDICTED, again, values[:0], *ends, symbols, True)
+    assert entropy.differences(entropy.PREDICTED, again, values[:0], *ends, symbols, True)
     assert again.tolist() == numbers
-    return numbers[-1] - adaptive.unfold_reference(int(symbols[-1]))
+    return numbers[-1] - entropy.unfold_reference(int(symbols[-1]))
 
 
 def test_what_neighbours_let_expect() -> None:

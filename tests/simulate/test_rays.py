@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from terrafuse.errors import InputError, MissingExtra
-from terrafuse.kernels.casting import NONE, bodies_reference, finished
+from terrafuse.kernels.casting import NONE, bodies_reference, finish
 from terrafuse.simulate.blocks import Block
 from terrafuse.simulate.mesh import mesh_of
 from terrafuse.simulate.movers import bodies, body
-from terrafuse.simulate.rays import RayCaster, first_hits_reference
+from terrafuse.simulate.rays import SHARE, RayCaster, first_hits_reference
 from terrafuse.simulate.terrain import flat
 from terrafuse.simulate.world import World
 from terrafuse.types import Array, Bounds
@@ -125,7 +125,8 @@ def test_bodies_are_met_as_in_the_reference(seed: int) -> None:
     starts, rays = rng.uniform((-9, -9, -1), (9, 9, 3), (200, 3)), directions(rng, 200)
     rays[:30] = np.eye(3)[rng.integers(0, 3, 30)] * rng.choice([-1.0, 1.0], (30, 1))
     none = np.full(len(rays), NONE, np.int32)
-    ranges, _ = finished(starts, rays, none, np.empty((0, 4)), there, 1e9)
+    ranges = np.empty(len(rays))
+    finish(starts, rays, none, np.empty((0, 4)), there, 1e9, ranges, np.empty((len(rays), 3)))
     np.testing.assert_allclose(ranges, bodies_reference(starts, rays, there), atol=1e-9)
 
 
@@ -142,6 +143,18 @@ def test_bodies_are_met_as_in_the_reference(seed: int) -> None:
 def test_bad_rays_are_refused(origins: Array, rays: Array, reach: float, says: str) -> None:
     with pytest.raises(InputError, match=says):
         RayCaster(room()).cast(origins, rays, reach)
+
+
+@pytest.mark.parametrize("count", [0, 1, SHARE, 2 * SHARE, 3 * SHARE + 7])
+def test_threads_change_nothing(count: int) -> None:
+    world, rng = hamlet(), np.random.default_rng(1)
+    caster, rays = RayCaster(world), directions(rng, count)
+    starts = places(rng, world, count, (2.0, 20.0))
+    there = bodies([body("car", 5.0, -5.0, 2.0, 0.3)])
+    alone = caster.cast(starts, rays, 50.0, there)
+    with caster.threads(3):
+        shared = caster.cast(starts, rays, 50.0, there)
+    assert [part.tobytes() for part in shared] == [part.tobytes() for part in alone]
 
 
 def test_no_rays_meet_nothing() -> None:

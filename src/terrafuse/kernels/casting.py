@@ -89,6 +89,8 @@ def _near(bodies, origins, reach):
 
 @njit(cache=True, nogil=True)
 def finish(origins, directions, triangles, planes, bodies, reach, ranges, normals):
+    """Ranges (N,), and normals (N, 3) against the ray, of rays whose triangles are known; inf and 0 where nothing is in
+    reach. `planes` (T, 4) are n and n·p in the frame of the origins, as are `bodies`, (K,) records."""
     near, radii2 = _near(bodies, origins, reach)
     for k in range(len(directions)):
         ox, oy, oz = origins[k, 0], origins[k, 1], origins[k, 2]
@@ -116,16 +118,6 @@ def finish(origins, directions, triangles, planes, bodies, reach, ranges, normal
             t, nx, ny, nz = np.inf, 0.0, 0.0, 0.0
         ranges[k] = t
         normals[k, 0], normals[k, 1], normals[k, 2] = nx, ny, nz
-
-
-def finished(
-    origins: Floats, directions: Floats, triangles: Array, planes: Floats, bodies: Array, reach: float
-) -> tuple[Floats, Floats]:
-    """(ranges (N,), normals (N, 3) against the ray) of rays whose triangles are known; inf and 0 where nothing is in
-    reach. `planes` (T, 4) are n and n·p in the frame of the origins, as are `bodies`, (K,) records."""
-    ranges, normals = np.empty(len(directions)), np.empty((len(directions), 3))
-    finish(origins, directions, triangles, planes, bodies, reach, ranges, normals)
-    return ranges, normals
 
 
 def bodies_reference(origins: Floats, directions: Floats, bodies: Array) -> Floats:

@@ -7,16 +7,22 @@ met is decided to float32's step: 0.03 mm at 500 m from the middle.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from terrafuse.errors import InputError, MissingExtra
-from terrafuse.kernels.casting import finished
+from terrafuse.kernels.casting import finish
 from terrafuse.simulate.mesh import Mesh, mesh_of, planes_of
 from terrafuse.simulate.movers import NO_BODIES
 from terrafuse.simulate.world import World
 from terrafuse.types import Array, Floats
+
+SHARE = 2_000
+"""Rays that are worth a thread's waking."""
 
 
 class Hits(NamedTuple):
@@ -36,6 +42,15 @@ class RayCaster:
         local = Mesh(mesh.vertices_m - self._centre, mesh.triangles)
         self._scene = _scene(local)
         self._planes = planes_of(local)
+        self._pool: tuple[Executor, int] | None = None
+
+    @contextmanager
+    def threads(self, count: int) -> Iterator[None]:
+        """Meanwhile, many rays are shared among so many threads; what comes of them is the same."""
+        with ThreadPoolExecutor(max(1, count - 1)) as pool:
+            self._pool = (pool, count) if count > 1 else None
+            yield
+        self._pool = None
 
     def cast(self, origins_m: Any, directions: Any, reach_m: float, bodies: Array = NO_BODIES) -> Hits:
         """`origins_m` (N, 3) or (3,) for all, and unit `directions` (N, 3), in the world; `bodies` (K,) as of
@@ -43,10 +58,27 @@ class RayCaster:
         origins, directions = _checked(origins_m, directions, reach_m)
         if not len(directions):
             return Hits(np.empty(0), np.empty((0, 3)))
-        local = np.ascontiguousarray(np.broadcast_to(origins - self._centre, directions.shape))
-        # A hit on the plane may lie a little further than float32 says.
-        found = self._scene.run(local.astype(np.float32), directions.astype(np.float32), dists=1.001 * reach_m + 0.01)
-        return Hits(*finished(local, directions, found, self._planes, self._moved(bodies), reach_m))
+        starts = np.broadcast_to(origins - self._centre, directions.shape)
+        hits = Hits(np.empty(len(directions)), np.empty_like(directions))
+        moved = self._moved(bodies)
+
+        def some(rays: slice) -> None:
+            local, along = np.ascontiguousarray(starts[rays]), directions[rays]
+            # A hit on the plane may lie a little further than float32 says.
+            found = self._scene.run(local.astype(np.float32), along.astype(np.float32), dists=1.001 * reach_m + 0.01)
+            finish(local, along, found, self._planes, moved, reach_m, hits.ranges_m[rays], hits.normals[rays])
+
+        self._share(some, len(directions))
+        return hits
+
+    def _share(self, cast: Callable[[slice], None], rays: int) -> None:
+        pool, threads = self._pool or (None, 1)
+        parts = max(1, min(threads, rays // SHARE))
+        first, *others = (slice(k * rays // parts, (k + 1) * rays // parts) for k in range(parts))
+        waiting = [pool.submit(cast, some) for some in others] if pool is not None else []
+        cast(first)
+        for each in waiting:
+            each.result()
 
     def _moved(self, bodies: Array) -> Array:
         """Bodies in the frame around the world's middle."""

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -48,13 +46,9 @@ from terrafuse.window import make_window
 
 START_NS: Stamp = 1_767_225_600 * 10**9
 """2026-01-01 UTC: when simulated time is 0."""
-SHORT_TURNS_S = 2e-4
-"""Robots' steps are short loops in between of which they need Python's lock: a turn of 5 ms makes two threads as slow
-as one."""
 SIGHT_M = 55.0
 """How far down a side street a patrol sees in passing."""
 
-Result = TypeVar("Result")
 Watcher = Callable[["Mission"], None]
 """Called after each tick."""
 
@@ -103,7 +97,8 @@ class Mission:
         return START_NS + self._tick * round(self.scenario.tick_s * 1e9)
 
     def run(self, watchers: Sequence[Watcher] = (), threads: int = 1) -> None:
-        """To the end of the scenario's duration, or until a watcher calls `stop`. The same whatever the threads."""
+        """To the end of the scenario's duration, or until a watcher calls `stop`. `threads` cast rays; the rest is
+        Python's, which one thread at a time can run. The same whatever the threads."""
         for _ in self.steps(threads):
             for watch in watchers:
                 watch(self)
@@ -112,9 +107,9 @@ class Mission:
         """The same, tick by tick, as they are asked for."""
         self._stopped = False
         ticks = round(self.scenario.duration_s / self.scenario.tick_s)
-        with self._files, _turns_s(SHORT_TURNS_S if threads > 1 else None), ThreadPoolExecutor(threads) as pool:
+        with self._files, self.caster.threads(threads):
             while self._tick < ticks and not self._stopped:
-                self._step(pool if threads > 1 else None)
+                self._step()
                 yield
         for vehicle in self.vehicles:
             vehicle.mapper.commit()
@@ -122,38 +117,30 @@ class Mission:
     def stop(self) -> None:
         self._stopped = True
 
-    def _step(self, pool: ThreadPoolExecutor | None) -> None:
+    def _step(self) -> None:
         """Sense and map; exchange; decide; move."""
         stamp_ns = self.stamp_ns
         moving = self.world.bodies(self.now_s)
-        self._sense(stamp_ns, moving, pool)
+        self._sense(stamp_ns, moving)
         for vehicle in self.vehicles:
             east, north, up = self.fleet.position_m(vehicle.number).tolist()
             self.radio.move(vehicle.name, (east, north, up + ANTENNA_M), stamp_ns)
         for vehicle in self.vehicles:
             vehicle.exchange(stamp_ns)
         self.station.tick(stamp_ns)
-        drives = self._each(lambda vehicle: vehicle.decide(self.now_s), pool)
-        numbered = {vehicle.number: drive for vehicle, drive in zip(self.vehicles, drives, strict=True)}
-        self.fleet.step(numbered, self.scenario.tick_s, moving)
+        drives = {vehicle.number: vehicle.decide(self.now_s) for vehicle in self.vehicles}
+        self.fleet.step(drives, self.scenario.tick_s, moving)
         self._tick += 1
         self.now_s = self._tick * self.scenario.tick_s
 
-    def _sense(self, stamp_ns: Stamp, moving: Any, pool: ThreadPoolExecutor | None) -> None:
+    def _sense(self, stamp_ns: Stamp, moving: Any) -> None:
         seen = self.fleet.bodies()
         pings = {v.number: v.pings(self.fleet.pose(v.number), stamp_ns) for v in self.vehicles}
-
-        def sense(vehicle: Vehicle) -> None:
+        for vehicle in self.vehicles:
             others = [body for number, body in enumerate(seen) if number != vehicle.number]
             heard = [ping for number, several in pings.items() if number != vehicle.number for ping in several]
             own = next(iter(pings[vehicle.number]), None)
             vehicle.sense(self.fleet, Around(self.caster, stamp_ns, bodies([moving, *others]), heard), stamp_ns, own)
-
-        self._each(sense, pool)
-
-    def _each(self, act: Callable[[Vehicle], Result], pool: ThreadPoolExecutor | None) -> list[Result]:
-        """What each vehicle does by itself, of its own and of what nobody changes meanwhile."""
-        return [act(vehicle) for vehicle in self.vehicles] if pool is None else list(pool.map(act, self.vehicles))
 
     def _check_waypoints(self) -> None:
         """Raise InputError, with its line, for the first waypoint that no way leads to on the ground."""
@@ -254,17 +241,6 @@ class Mission:
         routes = patrol(streets.nodes_m, streets.edges, near, SIGHT_M, LANE * streets.width_m)
         for vehicle, route in zip(waiting, nearest_takes(routes, near, places_m), strict=True):
             self.station.order(vehicle.name, ROUTE, route.round(3).tolist())
-
-
-@contextmanager
-def _turns_s(seconds: float | None) -> Iterator[None]:
-    """How long a thread may keep others from Python's lock, meanwhile."""
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(seconds or before)
-    try:
-        yield
-    finally:
-        sys.setswitchinterval(before)
 
 
 def lattice_of(loaded: Loaded) -> Lattice:

@@ -97,9 +97,12 @@ class Pose:
         return checked_pose(pose_of(rotation, np.asarray(position, np.float64)).matrix)
 
 
+IDENTITY = np.eye(4)
+
+
 def pose_of(rotation: Floats, position: Floats) -> Pose:
     """The pose with this 3×3 rotation and (3,) position, unchecked."""
-    matrix = np.eye(4)
+    matrix = IDENTITY.copy()
     matrix[:3, :3] = rotation
     matrix[:3, 3] = position
     return Pose(matrix)

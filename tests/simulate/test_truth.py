@@ -106,6 +106,8 @@ def test_footprints_streets_and_layers_are_at_the_cells_centres() -> None:
     # Centres at 3.5 … 6.5 north are within 1.55 m of 5.
     assert truth.streets(world, METRE, window).sum() == 4 * 20
     gps = truth.static_layer(world, "gps_quality", METRE, window)
+    places = [(i + 0.5, j + 0.5) for j in range(-10, 10) for i in range(-10, 10)]
+    assert [layer.at_place(*place) for place in places] == gps.ravel().tolist()
     # The later region covers 4×4, 2×2 of it over the earlier one's 10×10.
     assert [(gps == value).sum() for value in (0, 1, 2)] == [96, 16, 400 - 112]
     assert (truth.static_layer(world, "communications", METRE, window) == 1).all()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -109,20 +110,23 @@ class Route:
             raise InputError("a route's times and places must be finite numbers")
         if not (np.diff(self.times_s) > 0).all():
             raise InputError(f"a route's times {self.times_s.tolist()} do not rise")
-        headings = _headings(self.places_m)
-        object.__setattr__(self, "_headings", headings)
+        # As lists: what is asked for at each tick is one leg of each route.
+        lists = {"_headings": _headings(self.places_m), "_times": self.times_s, "_places": self.places_m}
+        for name, array in lists.items():
+            object.__setattr__(self, name, array.tolist())
 
     def at(self, time_s: float) -> tuple[float, float, float] | None:
         """(x, y, yaw) at a time; None where it is not there."""
-        first, last = float(self.times_s[0]), float(self.times_s[-1])
+        times, places = self._times, self._places  # type: ignore[attr-defined]
+        first, last = times[0], times[-1]
         if self.repeats:
             time_s = first + (time_s - first) % (last - first)
         if not first <= time_s <= last:
             return None
-        leg = min(int(np.searchsorted(self.times_s, time_s, "right")) - 1, len(self.times_s) - 2)
-        share = (time_s - self.times_s[leg]) / (self.times_s[leg + 1] - self.times_s[leg])
-        x, y = (self.places_m[leg] + share * (self.places_m[leg + 1] - self.places_m[leg])).tolist()
-        return x, y, float(self._headings[leg])  # type: ignore[attr-defined]
+        leg = min(bisect_right(times, time_s) - 1, len(times) - 2)
+        share = (time_s - times[leg]) / (times[leg + 1] - times[leg])
+        (x0, y0), (x1, y1) = places[leg : leg + 2]
+        return x0 + share * (x1 - x0), y0 + share * (y1 - y0), self._headings[leg]  # type: ignore[attr-defined]
 
 
 def _headings(places_m: Floats) -> Floats:

@@ -40,6 +40,11 @@ class StaticLayer:
             out[in_ring(region.ring_m, x, y)] = region.value
         return out
 
+    def at_place(self, x_m: float, y_m: float) -> int:
+        """The same of one place, in a tenth of the time."""
+        found = (region.value for region in reversed(self.regions) if _holds(region.ring_m, x_m, y_m))
+        return next(found, self.default)
+
 
 def checked_layer(name: str, layer: StaticLayer) -> StaticLayer:
     """The layer, if the values mean something. Raises InputError."""
@@ -47,6 +52,14 @@ def checked_layer(name: str, layer: StaticLayer) -> StaticLayer:
         if value not in ALLOWED[name]:
             raise InputError(f"{name} {value}: give one of {', '.join(map(str, ALLOWED[name]))}")
     return layer
+
+
+def _holds(ring_m: tuple[tuple[float, float], ...], x: float, y: float) -> bool:
+    inside = False
+    for (x0, y0), (x1, y1) in zip(ring_m, (*ring_m[1:], ring_m[0]), strict=True):
+        if (y0 > y) != (y1 > y) and x < x0 + (y - y0) * (x1 - x0) / (y1 - y0):
+            inside = not inside
+    return inside
 
 
 def in_ring(ring_m: tuple[tuple[float, float], ...], x: Array, y: Array) -> Array:

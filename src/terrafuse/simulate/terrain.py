@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from terrafuse.errors import InputError
+from terrafuse.kernels.ground import on_triangles
 from terrafuse.raster import Raster, read_raster
 from terrafuse.simulate.noise import Octave, axis, octaves
 from terrafuse.types import Array, Bounds, Floats
@@ -57,24 +58,12 @@ class Terrain:
 
     def surface(self, x_m: Array | float, y_m: Array | float) -> tuple[Floats, Floats, Floats]:
         """z, dz/dx and dz/dy, each of the common shape of x and y; NaN outside."""
-        rows, columns = self.heights_m.shape
-        u = (np.asarray(x_m, np.float64) - self.west_m) / self.step_m
-        v = (np.asarray(y_m, np.float64) - self.south_m) / self.step_m
-        inside = (u >= 0) & (u <= columns - 1) & (v >= 0) & (v <= rows - 1)
-        i, j = _square(u, columns), _square(v, rows)
-        f, g = u - i, v - j
-        z = self.heights_m
-        first, last = z[j, i], z[j + 1, i + 1]
-        corner = np.where(f >= g, z[j, i + 1], z[j + 1, i])
-        east = np.where(f >= g, corner - first, last - corner)
-        north = np.where(f >= g, last - corner, corner - first)
-        out = first + f * east + g * north, east / self.step_m, north / self.step_m
-        return tuple(np.where(inside, part, np.nan) for part in out)  # type: ignore[return-value]
-
-
-def _square(place: Floats, corners: int) -> Array:
-    # fmax and fmin, unlike clip, make a number of NaN.
-    return np.asarray(np.fmin(np.fmax(place, 0), corners - 2).astype(np.int64))
+        shape = np.broadcast_shapes(np.shape(x_m), np.shape(y_m))
+        x, y = (np.array(np.broadcast_to(part, shape), np.float64) for part in (x_m, y_m))
+        out = tuple(np.empty(x.shape) for _ in range(3))
+        flat_out = (part.reshape(-1) for part in out)
+        on_triangles(self.heights_m, self.west_m, self.south_m, self.step_m, x.reshape(-1), y.reshape(-1), *flat_out)
+        return out  # type: ignore[return-value]
 
 
 def flat(bounds: Bounds, z_m: float = 0.0) -> Terrain:

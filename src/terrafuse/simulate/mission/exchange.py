@@ -113,7 +113,7 @@ def radio_of(part: RadioPart, world: World, caster: RayCaster, seed: int) -> Rad
     settings = RadioSettings(
         range_m=part.range_m, behind_walls=part.behind_walls, frame_bytes=part.frame_bytes, faults=faults, cuts=cuts
     )
-    return Radio(settings, Surroundings(_sight(caster), world.communications.at), seed)
+    return Radio(settings, Surroundings(_sight(caster), world.communications.at_place), seed)
 
 
 def _sight(caster: RayCaster) -> Callable[[Place, Place], bool]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -69,6 +70,10 @@ class Sense:
     def period_ns(self) -> int:
         return round(1e9 / self.part.rate_hz) if self.part.rate_hz else 0
 
+    @cached_property
+    def _mounting(self) -> Pose:
+        return logged(self.sensor.mounting.T_base_sensor)
+
     def ping(self, T_world_base: Pose) -> Ping:
         """How others hear its round, or where all fire at once, its one ping."""
         round_s = len(self.sonar.turns_s) * self.sensor.firing_period_s or AT_ONCE_S
@@ -98,7 +103,7 @@ class Sense:
     def scan(self, ranges_m: Floats, stamp_ns: Stamp, T_world_base: Pose) -> Scan:
         """What the robot maps: the readings, at the pose that it believes."""
         scan = scan_of(self.sensor, ranges_m, stamp_ns, T_world_base)
-        T_world_sensor = logged(T_world_base) @ logged(self.sensor.mounting.T_base_sensor)
+        T_world_sensor = logged(T_world_base) @ self._mounting
         return replace(scan, points=scan.points.astype(np.float32), T_world_sensor=T_world_sensor)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from terrafuse.kernels.ahead import in_the_way
 from terrafuse.navigate import Robot
 from terrafuse.navigate.costs import CostMap
 from terrafuse.simulate.mission.ownmap import OwnMap
@@ -87,11 +88,4 @@ def echoes_of(points_m: Floats, T_base_sensor: Pose, reach_m: float) -> Floats:
 
 def obstacles_of(points_m: Floats, T_base_sensor: Pose, reach_m: float) -> Floats:
     """(K, 2): of a scan's points, in the sensor's frame, those at the height of a robot's body within reach."""
-    matrix = T_base_sensor.matrix
-    # Most are far away: those need not be turned.
-    far_m = reach_m + HIGH_M + float(np.linalg.norm(matrix[:3, 3]))
-    near = np.flatnonzero(np.einsum("ij,ij->i", points_m, points_m) < far_m**2)
-    x, y, z = (points_m.take(near, axis=0) @ matrix[:3, :3].T + matrix[:3, 3]).T
-    distance = np.hypot(x, y)
-    found = (distance < reach_m) & (z > LOW_M + RISING * distance) & (z < HIGH_M)
-    return np.column_stack([x[found], y[found]])
+    return np.asarray(in_the_way(points_m, T_base_sensor.matrix, reach_m, LOW_M, RISING, HIGH_M))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from time import perf_counter
+from time import perf_counter, thread_time
 from typing import Any
 
 import numpy as np
@@ -44,7 +44,7 @@ class Vehicle:
     seconds: dict[str, float] = field(
         default_factory=lambda: dict.fromkeys(("simulate", "map", "exchange", "decide"), 0.0)
     )
-    """Of processor time, by what it went for."""
+    """Of processor time, by what it went for; of `simulate`, whose rays several threads cast, by the clock."""
     longest_pause_s: float = 0.0
     """By the clock on the wall, that a scan took to get into the map, what left the window out of memory, and what came
     into it back; but not the first scan, which loads the compiled loops."""
@@ -84,13 +84,13 @@ class Vehicle:
             self.recorder.scan(stamp_ns, scan.points)
         met = echoes_of if sense.part.kind == "sonar" else obstacles_of
         obstacles = met(scan.points, sense.sensor.mounting.T_base_sensor, OBSTACLE_REACH_M)
-        t1 = perf_counter()
+        t1, processor_s = perf_counter(), thread_time()
         self.mapper.integrate(scan)
         if self.mapper.revision > 1:
             self.longest_pause_s = max(self.longest_pause_s, perf_counter() - t1)
         self.points += len(scan.points)
         self.seconds["simulate"] += t1 - t0
-        self.seconds["map"] += perf_counter() - t1
+        self.seconds["map"] += thread_time() - processor_s
         for listen in self.on_scan:
             listen(scan)
         return obstacles
@@ -108,17 +108,17 @@ class Vehicle:
         self._last_m = position_m.copy()
 
     def exchange(self, now_ns: int) -> None:
-        started = perf_counter()
+        started = thread_time()
         self.node.say_where(now_ns, self.situation.place_m)
         self.node.tick(now_ns)
-        self.seconds["exchange"] += perf_counter() - started
+        self.seconds["exchange"] += thread_time() - started
 
     def decide(self, now_s: float) -> Drive:
-        started = perf_counter()
+        started = thread_time()
         self.situation.now_s = now_s
         self.situation.orders = self.node.orders
         drive = self.behaviour.drive(self.situation)
-        self.seconds["decide"] += perf_counter() - started
+        self.seconds["decide"] += thread_time() - started
         return drive._replace(altitude_m=self.altitude_m)
 
     def facts(self) -> dict[str, Any]:

@@ -48,8 +48,8 @@ class Patchwork(NamedTuple):
     """
 
     grid: Array
-    """(NOWHERE + 1,) int32: `first_slot` + slot of each cell of the window; what is less is of an older scan, so that
-    nothing need be cleared."""
+    """(NOWHERE + 1,) int32: `first_slot` (1 at first) + slot of each cell of the window; what is less is of an older
+    scan, so that nothing need be cleared."""
     places: Array
     """(capacity,) int32: the grid index of each slot."""
     records: Array
@@ -69,7 +69,7 @@ class Patchwork(NamedTuple):
 def new_patchwork(capacity: int, grid: Array | None = None) -> Patchwork:
     """Scratch for `capacity` points and cells; takes over the grid of a smaller one."""
     if grid is None:
-        grid = np.full(NOWHERE + 1, -1, np.int32)
+        grid = np.zeros(NOWHERE + 1, np.int32)  # pages that no scan touches take no memory
     places, tile_of, at = (np.empty(capacity, np.int32) for _ in range(3))
     return Patchwork(grid, places, np.empty(capacity, EVIDENCE), np.empty(capacity, np.int64), tile_of, at)
 

@@ -254,7 +254,7 @@ class ElevationObserver:
         self._lattice, self._rules = lattice, rules
         self._near2, self._far2 = min_range_m**2, max_range_m**2
         self._scratch = rasterise.new_patchwork(1 << 14)
-        self._first_slot = 0
+        self._first_slot = 1
         across = rasterise.WINDOW // lattice.tile_cells + 2
         self._keys = np.empty((across * across, 2), np.int64)
 
@@ -309,8 +309,8 @@ class ElevationObserver:
         if self._scratch.capacity < capacity:
             self._scratch = rasterise.new_patchwork(1 << (capacity - 1).bit_length(), self._scratch.grid)
         if self._first_slot + capacity >= 2**31:
-            self._scratch.grid.fill(-1)
-            self._first_slot = 0
+            self._scratch.grid.fill(0)
+            self._first_slot = 1
         return self._scratch
 
 

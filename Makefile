@@ -51,10 +51,12 @@ format: setup
 bench: setup
 	$(BIN)/python -m bench
 	$(BIN)/python -m bench.exchange
+	$(BIN)/python -m bench.mission
 	$(BIN)/python -m bench.patrol
 	$(BIN)/python -m bench.physics
 	$(BIN)/python -m bench.plan
 	$(BIN)/python -m bench.rays
+	$(BIN)/python -m bench.simulate_rays
 	$(BIN)/python -m bench.sonar
 	$(BIN)/python -m bench.transport
 	$(BIN)/python -m bench.wire

@@ -14,6 +14,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import accumulate
 from math import gcd
 from typing import Any, NamedTuple
@@ -144,6 +145,7 @@ def heading(message: bytes) -> Heading:
     return Heading(_map(header), form, header.robot, header.since, header.revision, header.stamp_ns, *header.size)
 
 
+@lru_cache(maxsize=1)  # who asks for the heading, often wants the cells, too
 def _opened(message: bytes) -> tuple[str, _Exact | _Rounded, memoryview]:
     """(form, header, body) of bytes that are whole."""
     if len(message) < START.size + 4 or len(message) > MAX_MESSAGE or message[:3] != MAGIC:

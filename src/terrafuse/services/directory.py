@@ -54,12 +54,15 @@ def pack(value: msgspec.Struct) -> bytes:
     return zstandard.ZstdCompressor(level=3).compress(msgspec.msgpack.encode(value))
 
 
+DECODERS = {kind: msgspec.msgpack.Decoder(kind) for kind in (Report, Entry)}
+
+
 def unpack(payload: bytes, kind: type[Any], most_bytes: int = MOST_BYTES) -> Any:
     """Raises ValueError for what is none, or too large."""
     try:
         if not 0 <= zstandard.frame_content_size(payload) <= most_bytes:
             raise ValueError(f"no {kind.__name__}: too large")
-        return msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(payload), type=kind)
+        return DECODERS[kind].decode(zstandard.ZstdDecompressor().decompress(payload))
     except (zstandard.ZstdError, ValueError) as error:
         raise ValueError(f"no {kind.__name__}: {error}") from error
 

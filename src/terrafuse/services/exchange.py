@@ -26,9 +26,10 @@ from terrafuse.services.service import SECOND_NS, Contract, Message, Service
 from terrafuse.store.base import Store
 from terrafuse.types import Bounds
 
-TICK_S, LONGEST_TICK_S, FOLD_S = 0.02, 0.06, 1.0
+TICK_S, LONGEST_TICK_S, LEAST_WAIT_S, FOLD_S = 0.02, 0.06, 0.001, 1.0
 BUSY = 3.0
-"""Times what a tick took, up to the longest, the next one waits: what comes meanwhile is made to last all at once."""
+"""Times what a tick took, the next one waits, but only until `LONGEST_TICK_S` after this one began: what comes meanwhile
+is made to last all at once. After one that took longer than that, enough waits."""
 EXCHANGE, MAP_MANAGER = "exchange", "map-manager"
 
 
@@ -135,7 +136,8 @@ class Exchange(Service):
         self._courier.tick(now_ns)
         if self._told is not None and self.stations:
             self._look_whether_done(self._told, now_ns)
-        return min(max(TICK_S, BUSY * (time.perf_counter() - started_s)), LONGEST_TICK_S)
+        took_s = time.perf_counter() - started_s
+        return max(min(max(TICK_S, BUSY * took_s), LONGEST_TICK_S - took_s), LEAST_WAIT_S)
 
     def post(self, message: Message) -> None:
         if message.kind == "join":

@@ -1,8 +1,8 @@
 """python -m bench.mission [--json FILE] [--seconds S] [--rounds N]: how many times faster than real time a mission is.
 
-The village: three robots with lidars of 16 × 900 beams at 10 Hz: rays, noise, localising, mapping, radio, fusing, planning, driving;
-no pictures. By the clock on the wall, of several runs that take turns the best, on one thread and on two; and the
-processor time of one thread, which others on the machine touch less. Setting up is not counted.
+The village: three robots with lidars of 16 × 900 beams at 10 Hz: rays, noise, localising, mapping, radio, fusing,
+planning, driving; no pictures. By the clock on the wall, of several runs that take turns the best, on one thread and on
+two; and the processor time of one thread, which others on the machine touch less. Setting up is not counted.
 """
 
 from __future__ import annotations

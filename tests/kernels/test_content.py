@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -37,8 +39,12 @@ def test_looking_up_is_indexing(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     which, stamps, revisions = rng.integers(0, 3, count), rng.integers(0, 2**62, 3), rng.integers(0, 9, 3, np.uint32)
     cells = np.zeros(count, absorb.CELL)
-    content.look_up(which, stamps, revisions, cells["stamp"], cells["revision"])
+    starts = np.array([0, len(which) // 2, len(which)])
+    newest = np.empty((2, 2), np.int64)
+    content.look_up(which, starts, revisions, stamps, cells["revision"], cells["stamp"], newest)
     assert (cells["stamp"].tolist(), cells["revision"].tolist()) == (stamps[which].tolist(), revisions[which].tolist())
+    for (first, end), found in zip(pairwise(starts.tolist()), newest.tolist(), strict=True):
+        assert tuple(found) == content.newest_of(cells["revision"][first:end], cells["stamp"][first:end])
 
 
 def test_each_flaw_is_named() -> None:

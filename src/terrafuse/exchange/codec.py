@@ -168,8 +168,13 @@ def _opened(message: bytes) -> tuple[str, _Exact | _Rounded, memoryview]:
 
 
 def _map(header: _Header) -> MapId:
+    return _map_of(header.model, header.resolution_m, header.tile_m, header.crs)
+
+
+@lru_cache(64)
+def _map_of(model: str, resolution_m: float, tile_m: float, crs: str | None) -> MapId:
     try:
-        map_ = MapId(header.model, header.resolution_m, header.tile_m, header.crs)
+        map_ = MapId(model, resolution_m, tile_m, crs)
         map_.lattice  # noqa: B018, it is checked when it is made
     except LatticeError as error:
         raise CodecError(f"an impossible lattice: {error}") from error
@@ -349,11 +354,14 @@ def _rounded_tiles(
     cells = profile.cells(found.numbers[1:])
     if cells.dtype != cell:
         raise CodecError(f"cells of '{header.model}' with fields {fields_of(cells.dtype)}, not {fields_of(cell)}")
-    content.look_up(found.numbers[0], stamps, revisions, cells["stamp"], cells["revision"])
+    newest = np.empty((header.tiles, 2), np.int64)
+    content.look_up(found.numbers[0], found.starts, revisions, stamps, cells["revision"], cells["stamp"], newest)
     edges = found.starts.tolist()
     return tuple(
-        TileCells(TileKey(x, y), found.places[first:end], cells[first:end])
-        for (x, y), first, end in zip(found.keys.tolist(), edges, edges[1:], strict=False)
+        TileCells.with_newest(TileKey(x, y), found.places[first:end], cells[first:end], (revision, stamp_ns))
+        for (x, y), first, end, (revision, stamp_ns) in zip(
+            found.keys.tolist(), edges, edges[1:], newest.tolist(), strict=False
+        )
     )
 
 

@@ -56,6 +56,13 @@ class TileCells:
     at: Array
     cells: Array
 
+    @classmethod
+    def with_newest(cls, key: TileKey, at: Array, cells: Array, newest: tuple[int, Stamp]) -> TileCells:
+        """For who has just seen all cells."""
+        tile = cls(key, at, cells)
+        vars(tile)["newest"] = newest
+        return tile
+
     @cached_property
     def newest(self) -> tuple[int, Stamp]:
         """The largest revision, and the largest stamp, of its cells."""

@@ -38,11 +38,17 @@ def newest_of(revisions, stamps):
 
 
 @njit(cache=True, nogil=True)
-def look_up(which, table, other_table, values, other_values):
-    """values[k] = table[which[k]], and of the others likewise; `which` holds indices into the tables."""
-    for k in range(which.shape[0]):
-        values[k] = table[which[k]]
-        other_values[k] = other_table[which[k]]
+def look_up(which, starts, revisions, stamps, own_revisions, own_stamps, newest):
+    """own_revisions[k] = revisions[which[k]], and of stamps likewise; `which` holds indices into the tables.
+
+    newest (T, 2): the largest revision and the largest stamp of tile t, which has cells starts[t]:starts[t + 1].
+    """
+    for t in range(newest.shape[0]):
+        revision, stamp = np.int64(0), np.int64(0)
+        for k in range(starts[t], starts[t + 1]):
+            own_revisions[k], own_stamps[k] = revisions[which[k]], stamps[which[k]]
+            revision, stamp = max(revision, np.int64(revisions[which[k]])), max(stamp, stamps[which[k]])
+        newest[t, 0], newest[t, 1] = revision, stamp
 
 
 def flaw_of_reference(starts: Array, at: Array, revisions: Array, stamps: Array, area: int, newest: int) -> int:

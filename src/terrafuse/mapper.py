@@ -11,6 +11,7 @@ import numpy as np
 
 from terrafuse.errors import InputError, StoreError
 from terrafuse.exchange.delta import MAX_NAME, MAX_REVISION, Delta, TileCells, is_robot_name, map_id
+from terrafuse.exchange.erased import observed
 from terrafuse.lattice import MAX_CELL, MAX_TILE_CELLS, Lattice, union
 from terrafuse.models import make_model
 from terrafuse.models.base import AnyPatch, Model
@@ -256,7 +257,7 @@ class Mapper:
                 f"tile {tuple(key)} of robot '{self.robot}' has cells newer than the robot's newest report, revision "
                 f"{self._revision}: the store is damaged, map again from the logs"
             )
-        return held
+        return observed(held)
 
     def _tile(self, key: TileKey) -> Tile:
         """The tile, from memory, from the archive, or new."""

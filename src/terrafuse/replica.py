@@ -14,6 +14,7 @@ import numpy as np
 
 from terrafuse.errors import InputError
 from terrafuse.exchange.delta import Delta, TileCells
+from terrafuse.exchange.erased import erased
 from terrafuse.lattice import Lattice
 from terrafuse.models import make_model
 from terrafuse.models.base import Model, Reading, fold
@@ -55,6 +56,8 @@ class Replica:
         self._factor = factor
         self._only, self._without = only, frozenset(without)
         self._cache: dict[TileKey, Array] = {}
+        self._erased: dict[TileKey, Array] = {}
+        """Of tiles in the cache, which cells some robot reported once and does not any more."""
         self._version = store.version()
 
     def apply(self, delta: Delta) -> bool:
@@ -87,13 +90,23 @@ class Replica:
         """
         version = self.store.version()
         if version != self._version:
-            self._cache.clear()  # whoever wrote: the map is what the store holds now
+            # whoever wrote: the map is what the store holds now
+            self._cache.clear()
+            self._erased.clear()
             self._version = version
         if key not in self._cache:
             while len(self._cache) >= CACHED_TILES:
-                self._cache.pop(next(iter(self._cache)))
+                oldest = next(iter(self._cache))
+                self._cache.pop(oldest)
+                self._erased.pop(oldest, None)
             self._cache[key] = self._fold(key)
         return self._cache[key]
+
+    def erased(self, key: TileKey) -> Array:
+        """(K,) flat positions, rising, of a tile's cells that some robot reported and does not any more: unknown,
+        unless another robot knows them."""
+        self.cells(key)
+        return self._erased.get(key, np.empty(0, np.int64))
 
     def _fold(self, key: TileKey) -> Array:
         side = self.lattice.tile_cells
@@ -118,6 +131,9 @@ class Replica:
     def _load(self, robot: str, key: TileKey) -> TileCells | None:
         """The robot's contribution to a tile, at this replica's level."""
         part = self.store.load(robot, key)
+        if part is not None and (gone := erased(part.cells)).any():
+            self._erased[key] = np.union1d(self._erased.get(key, np.empty(0, np.int64)), part.at[gone])
+            part = TileCells(key, part.at[~gone], opaque(part.cells)[~gone].view(part.cells.dtype))
         if part is None or self._factor == 1:
             return part
         side = self.store.map.lattice.tile_cells

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,9 +23,12 @@ class CoarseContribution:
 
     A replica on `map.lattice` that took its deltas in holds what `Replica(store of the fine contributions,
     factor=factor)` holds, cell for cell, revisions aside. Raises LatticeError for a factor that doesn't divide a tile.
+
+    `once`: by tile, flat positions of coarse cells that may have been reported in an earlier life; those that are
+    unknown are reported as erased (`exchange.erased`).
     """
 
-    def __init__(self, mapper: Mapper, factor: int) -> None:
+    def __init__(self, mapper: Mapper, factor: int, once: Mapping[TileKey, Array] | None = None) -> None:
         self.robot = mapper.robot
         self.map: MapId = map_id(mapper.model.name, mapper.lattice.coarser(factor))
         self.revision = 0
@@ -33,6 +37,7 @@ class CoarseContribution:
         """That of the mapper's newest scan, likewise."""
         self._mapper = mapper
         self._factor = factor
+        self._once = once or {}
         self._tiles: dict[TileKey, Array] = {}
         self._revisions: dict[TileKey, int] = {}
 
@@ -51,8 +56,12 @@ class CoarseContribution:
         if (held := self._tiles.get(key)) is None:
             held = self._tiles[key] = np.zeros(len(coarse), model.cell)
         known = model.known(coarse)
+        told = known | (held["revision"] > 0)
+        if key in self._once:
+            told[self._once[key]] = True
+        opaque(coarse)[~known] = np.zeros((), opaque(coarse).dtype)
         coarse["revision"] = held["revision"]
-        at = np.flatnonzero(known & ((opaque(coarse) != opaque(held)) | (held["revision"] == 0)))
+        at = np.flatnonzero(told & ((opaque(coarse) != opaque(held)) | (held["revision"] == 0)))
         if len(at):
             opaque(held)[at] = opaque(coarse)[at]
             held["revision"][at] = self._revisions[key] = self.revision

@@ -28,7 +28,8 @@ from terrafuse.types import Array, Bounds, TileKey
 class GlobalMap:
     """A `Source`: global cells, each with the number of the update that changed it last. `robot` is the node's name.
 
-    A cell that became unknown, since a robot was taken out of the map, stays as it was told.
+    A cell that became unknown, since a robot's poses were corrected, is told as erased (`exchange.erased`): those that
+    this told before, and, after a new start, all that some robot told of and does not any more.
     """
 
     def __init__(self, robot: str, replica: Replica) -> None:
@@ -57,11 +58,17 @@ class GlobalMap:
         return Delta(map_, self.robot, since, self.revision, self._replica.reading.now_ns, tiles)
 
     def _fold(self, key: TileKey) -> int:
-        cells = self._replica.cells(key).reshape(-1)
-        at = np.flatnonzero(self._replica.model.known(cells)).astype(np.int32)
+        cells, held = self._replica.cells(key).reshape(-1), self._tiles.get(key)
+        known = self._replica.model.known(cells)
+        told = known.copy()
+        told[self._replica.erased(key)] = True
+        if held is not None:
+            told[held.at] = True
+        at = np.flatnonzero(told).astype(np.int32)
         fresh = opaque(cells)[at].view(cells.dtype)
+        opaque(fresh)[~known[at]] = np.zeros((), opaque(fresh).dtype)
         fresh["revision"] = self.revision + 1
-        changed = self._take_over(fresh, at, self._tiles.get(key))
+        changed = self._take_over(fresh, at, held)
         if changed:
             self.revision += 1
             self._revisions[key] = self.revision

@@ -54,8 +54,8 @@ class Own:
 
     def begin(self, held: int) -> None:
         """A life begins, with this revision of it in the node's store: who kept its map told no more than is in it."""
-        if held % LIFE <= self._source.revision:
-            self._before = held - held % LIFE
+        beyond = max(held - self._source.revision, 0)
+        self._before = -(-beyond // LIFE) * LIFE
         self._told = self.revision
         self.surpass(held)
 

@@ -6,11 +6,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from terrafuse.errors import InputError
 from terrafuse.exchange.delta import Delta
+from terrafuse.exchange.erased import erased
 from terrafuse.exchange.profiles import elevation, grey, occupancy, terrain
 from terrafuse.exchange.profiles.base import Profile, Quantity
+from terrafuse.lattice import Lattice
 from terrafuse.models.base import Model
+from terrafuse.tile import opaque
+from terrafuse.types import Array
 
 PROFILES: dict[str, dict[str, Profile]] = {
     "elevation": elevation.PROFILES,
@@ -37,9 +43,18 @@ def report(delta: Delta, profile: str, model: Model) -> Delta:
     if found is None:
         return delta
     lattice = delta.map.lattice
-    return replace(
-        delta, tiles=tuple(replace(tile, cells=found.report(tile.cells, model, lattice)) for tile in delta.tiles)
-    )
+    tiles = (replace(tile, cells=_reported(found, tile.cells, model, lattice)) for tile in delta.tiles)
+    return replace(delta, tiles=tuple(tiles))
+
+
+def _reported(profile: Profile, cells: Array, model: Model, lattice: Lattice) -> Array:
+    """Rounded, but for erased cells, of which there is nothing to round."""
+    gone = erased(cells)
+    if not gone.any():
+        return profile.report(cells, model, lattice)
+    out = cells.copy()
+    opaque(out)[~gone] = opaque(profile.report(np.ascontiguousarray(cells[~gone]), model, lattice))
+    return out
 
 
 __all__ = ["CODES", "EXACT", "PROFILES", "Profile", "Quantity", "report"]

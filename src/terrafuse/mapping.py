@@ -25,6 +25,7 @@ import numpy as np
 from terrafuse import crs, plugins
 from terrafuse.config import MapSettings
 from terrafuse.errors import InputError, StoreMismatch
+from terrafuse.exchange.corrections import Corrections, corrected
 from terrafuse.lattice import MAX_TILE_CELLS, Lattice, default_tile_m
 from terrafuse.logs import open_log
 from terrafuse.logs.base import Log, Record, Source, parse_source
@@ -343,10 +344,11 @@ def _timed(records: Iterator[Record], clock: dict[str, float]) -> Iterator[Recor
         yield record
 
 
-def prepared(run: Plan, robot: str, scan: Scan) -> Scan:
-    """A scan of the robot's log as its mapper takes it: in the map's frame, read as its sensor is described."""
+def prepared(run: Plan, robot: str, scan: Scan, corrections: Corrections = ()) -> Scan:
+    """A scan of the robot's log as its mapper takes it: in the map's frame, its pose corrected, read as its sensor is
+    described."""
     log, sensor = run.logs[robot], run.sensors.get(robot)
-    there = placed(scan, log, run.settings)
+    there = corrected(placed(scan, log, run.settings), corrections)
     with _of_log(robot, log):
         return applied(sensor, there) if sensor else undescribed(there)
 

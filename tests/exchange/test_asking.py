@@ -24,6 +24,7 @@ from terrafuse.exchange.asking import (
 )
 from terrafuse.exchange.codec import decode
 from terrafuse.exchange.corrections import (
+    ALWAYS_NS,
     CORRECTION,
     MOST,
     Correction,
@@ -131,27 +132,35 @@ def test_questions_and_answers_as_bytes() -> None:
 # --- corrections -----------------------------------------------------------------------------------------------------
 
 
-def test_the_newest_corrections_come_and_say_all() -> None:
+def test_corrections_come_in_their_order() -> None:
     pair = Pair()
-    first = Correction(5, flat(1.0, 2.0, 0.0))
-    second = Correction(9, flat(0.0, 0.0, np.pi / 2))
+    first = Correction("a", 7, 5, 8, flat(1.0, 2.0, 0.0))
+    second = Correction("b", 6, 5, ALWAYS_NS, flat(0.0, 0.0, np.pi / 2))
     pair.station.post("r1", CORRECTION, encode_corrections([first]))
-    pair.station.post("r1", CORRECTION, encode_corrections([second, first]))
+    pair.station.post("r1", CORRECTION, encode_corrections([first, second]))
     pair.run(3)
     ((sender, corrections),) = pair.corrections
     assert sender == "station"
-    assert [one.from_ns for one in corrections] == [5, 9]
+    assert [(one.id, one.from_ns, one.until_ns) for one in corrections] == [("b", 5, ALWAYS_NS), ("a", 5, 8)]
     # A quarter turn takes what was east to the north.
-    assert np.allclose((corrections[1].T_new_old @ Pose.identity().shifted(1.0, 0.0)).position, [0.0, 1.0, 0.0])
-    assert (corrections[0].T_new_old @ Pose.identity()).position.tolist() == [1.0, 2.0, 0.0]
+    assert np.allclose((corrections[0].T_new_old @ Pose.identity().shifted(1.0, 0.0)).position, [0.0, 1.0, 0.0])
+    assert (corrections[1].T_new_old @ Pose.identity()).position.tolist() == [1.0, 2.0, 0.0]
 
 
-def test_what_is_no_motion_is_refused() -> None:
-    with pytest.raises(CodecError, match="not a rigid motion"):
-        decode_corrections(encode_message([[5, [2.0, 0, 0, 0, 0, 1.0, 0, 0, 0, 0, 1.0, 0]]]))  # type: ignore[arg-type]
-    with pytest.raises(CodecError, match="11 numbers"):
-        decode_corrections(encode_message([[5, [0.0] * 11]]))  # type: ignore[arg-type]
-    one = Correction(5, flat(0.0, 0.0, 0.0))
-    for some in ([one, one], [Correction(k, one.T_new_old) for k in range(MOST + 1)]):
-        with pytest.raises(InputError, match="corrections: give 500 at most"):
-            encode_corrections(some)
+def test_what_are_no_corrections_is_refused() -> None:
+    rows = [1.0, 0, 0, 0, 0, 1.0, 0, 0, 0, 0, 1.0, 0]
+    for message, why in [
+        ([["a", 1, 0, 5, [2.0, *rows[1:]]]], "not a rigid motion"),
+        ([["a", 1, 0, 5, rows[1:]]], "11 numbers"),
+        ([["a", 1, 5, 5, rows]], "is no time"),
+        ([["a", 1, -1, 5, rows]], "is no time"),
+        ([["", 1, 0, 5, rows]], "an id has 1 to 64"),
+        ([["a", 2, 0, 5, rows], ["b", 1, 0, 5, rows]], "not in their order"),
+        ([["a", 1, 0, 5, rows], ["a", 2, 0, 5, rows]], "not in their order"),
+        ([[f"{k:03d}", 1, 0, 5, rows] for k in range(MOST + 1)], f"give {MOST} at most"),
+    ]:
+        with pytest.raises(CodecError, match=why):
+            decode_corrections(encode_message(message))  # type: ignore[arg-type]
+    one = Correction("a", 1, 0, 5, flat(0.0, 0.0, 0.0))
+    with pytest.raises(InputError, match="each of another id"):
+        encode_corrections([one, one])

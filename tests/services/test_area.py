@@ -1,4 +1,4 @@
-"""Robots hold the station's map where they are interested, and what they are told of their poses."""
+"""Robots hold the station's map where they are interested."""
 
 from __future__ import annotations
 
@@ -8,11 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from terrafuse.exchange.area import meets
-from terrafuse.exchange.corrections import CORRECTION, Correction, decode_corrections, encode_corrections, flat
-from terrafuse.exchange.courier import Courier
-from terrafuse.exchange.links import MemoryHub
 from terrafuse.replica import Replica
-from terrafuse.services.node import _area, make_node
+from terrafuse.services.node import _area
 from terrafuse.services.places import Place
 from terrafuse.services.settings import FleetSettings, RobotPart
 from terrafuse.store.sqlite import SqliteStore
@@ -62,23 +59,3 @@ def test_a_robot_holds_the_stations_map_of_its_area(logs: dict[str, Path], tmp_p
         for node in nodes:
             node.supervisor.stop(5)
             node.close()
-
-
-def test_corrections_are_kept_beside_the_map(logs: dict[str, Path], tmp_path: Path) -> None:
-    settings = settings_of({"r1": logs["r1"]}, tmp_path)
-    hub = MemoryHub()
-    robot = make_node(settings, "r1", lambda node: lambda: hub.link(node))
-    station = Courier(hub.link("station"), peers=["r1"])
-    station.post("r1", CORRECTION, encode_corrections([Correction(5, flat(1.0, 2.0, 0.1))]))
-    robot.supervisor.start()
-    deadline = time.monotonic() + 30
-    try:
-        while robot.statuses["exchange"].state.get("corrections") != 1:
-            assert time.monotonic() < deadline, robot.statuses["exchange"]
-            station.tick(time.time_ns())
-            time.sleep(0.02)
-    finally:
-        robot.supervisor.stop(5)
-        robot.close()
-    (kept,) = decode_corrections((tmp_path / "r1.corrections").read_bytes())
-    assert kept.from_ns == 5

@@ -37,7 +37,16 @@ def test_its_commands(folder: Path) -> None:
     pytest.importorskip("zenoh")
     pytest.importorskip("embreex")
     port = free_port()
-    assert [words[0] for words in COMMANDS] == ["station", "robot", "robot", "services", "get", *["fleet"] * 3]
+    assert [words[0] for words in COMMANDS] == [
+        "station",
+        "robot",
+        "robot",
+        "services",
+        "get",
+        "get",
+        "correct",
+        *["fleet"] * 3,
+    ]
     station, *robots = COMMANDS[:3]
     with Processes(folder) as fleet:
         fleet.start("station", *named(station, port))
@@ -51,6 +60,11 @@ def test_its_commands(folder: Path) -> None:
             assert fleet.code(name) == 0
         assert "map-manager" in fleet.text("services")
         assert '"contract": "terrafuse/mapping/1"' in fleet.text("get")
+        fleet.start("part", *named(COMMANDS[5], port))
+        fleet.until(lambda: fleet.code("part") == 0, "that a part of the map comes")
+        assert (folder / "part.png").stat().st_size > 1000
+        fleet.start("correct", *named(COMMANDS[6], port))
+        fleet.until(lambda: fleet.code("correct") == 0, "that the station takes a correction")
         fleet.until(lambda: fleet.code("r2") is not None, "that r2 ends")
         assert [fleet.code("r1"), fleet.code("r2")] == [0, 0]
 
@@ -58,7 +72,7 @@ def test_its_commands(folder: Path) -> None:
 def test_its_file_in_one_process_and_in_two(folder: Path) -> None:
     pytest.importorskip("zenoh")
     port = free_port()
-    whole, station, robots = COMMANDS[5:]
+    whole, station, robots = COMMANDS[-3:]
     (folder / "fleet.yaml").write_text(here(FLEET, port))
     with Processes(folder) as fleet:
         fleet.start("whole", *whole)

@@ -39,6 +39,7 @@ app.command("robot")(services.robot)
 app.command("fleet")(services.fleet)
 app.command("services")(services.services)
 app.command("get")(services.get)
+app.command("correct")(services.correct)
 
 
 INTERRUPTED = 130

@@ -54,6 +54,22 @@ def station(
     crs: Crs = None,
     global_factor: Factor = 1,
     budget: Budget = None,
+    upstream: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ADDRESS", help="Of a station above this one, which gets all that this one does; repeatable."
+        ),
+    ] = None,
+    upstream_station: Annotated[str, typer.Option(metavar="NAME", help="That station's name.")] = "station",
+    area: Annotated[
+        str | None, typer.Option(metavar="W,S,E,N", help="Hold that station's map there, in STORE.global.db.")
+    ] = None,
+    relay: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME", help="With --insecure: a station below this one, say, believed for any robot; repeatable."
+        ),
+    ] = None,
     quota_rate: Annotated[
         float, typer.Option(metavar="BYTES_PER_S", help="What it takes of a robot at most, over half a minute.")
     ] = 5e6,
@@ -81,9 +97,11 @@ def station(
     )
     about = _map(model, resolution, tile, crs, global_factor)
     link = _link(listen=tuple(listen), keys=keys, insecure=insecure, kind=LinkPart)
-    part = StationPart(
-        name=name, store=str(_path(store)), bytes_per_s=arguments.positive("--budget", budget, "bytes"), quotas=quotas
-    )
+    part = _checked_part(
+        StationPart, name=name, store=str(_path(store)), bytes_per_s=arguments.positive("--budget", budget, "bytes"),
+        quotas=quotas, upstream=tuple(upstream or ()), upstream_name=upstream_station,
+        area_m=arguments.bounds(area, "--area"), relays=tuple(relay or ()),
+    )  # fmt: skip
     return _run(_settings(map=about, link=link, station=part), [name], json)
 
 
@@ -195,30 +213,167 @@ def services(
 
 
 def get(
-    service: Annotated[str, typer.Argument(metavar="NODE/SERVICE", help="As 'terrafuse services' lists it.")],
+    service: Annotated[
+        str, typer.Argument(metavar="NODE/SERVICE", help="As 'terrafuse services' lists it, like station/map-manager.")
+    ],
     connect: Connect,
+    layer: Annotated[
+        str | None, typer.Option(metavar="LAYER", help="Of a map manager: bring this layer of its map into --out.")
+    ] = None,
+    area: Annotated[
+        str | None, typer.Option(metavar="W,S,E,N", help="Of it this part, metres.  [default: all]")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="By its ending: .png, .tif, .npz or a ROS map's .yaml.")
+    ] = None,
+    map_: Annotated[str, typer.Option("--map", help="Which of its maps: fine or coarse.")] = "fine",
+    sketch: Annotated[
+        bool, typer.Option("--sketch", help="The station draws it: a bare .png, for thin links.")
+    ] = False,
+    station_name: StationName = "station",
+    name: Annotated[str | None, typer.Option(help="Of this node; with --keys, the keys' own.")] = None,
+    keys: Keys = None,
+    insecure: Insecure = False,
+    plugin: Plugins = None,
+    json: Json = False,
+) -> None:
+    """Print what a service shows of itself; or, with --layer, bring a part of a station's map into a file.
+
+    What is brought is what the station holds now, at full resolution: the same as 'terrafuse export' of its store.
+    """
+    from terrafuse.errors import InputError
+
+    if layer is None:
+        for option, given in {"--area": area, "--out": out, "--sketch": sketch or None}.items():
+            if given is not None:
+                raise InputError(f"{option} is for a layer of a map: give --layer, too")
+    elif out is None:
+        raise InputError("--layer: say where to, --out FILE.png, .tif, .npz or .yaml")
+    with _operator(connect, station_name, name, keys, insecure) as asking:
+        value = _shown(asking, service)
+        if layer is not None:
+            assert out is not None
+            if service != f"{station_name}/map-manager":
+                raise InputError(f"{service} hands out no map: '{station_name}/map-manager' does")
+            value = _brought(asking, value["state"], map_, layer, arguments.bounds(area, "--area"), out, sketch)
+    if json:
+        say_json(value)
+    elif layer is not None:
+        say(f"wrote {out}: {value['layer']}, {value['tiles']} tiles, {bytes_text(value['bytes'])} came")
+    else:
+        from json import dumps
+
+        say(dumps(value, indent=1, allow_nan=False))
+
+
+def _shown(asking: Any, service: str) -> dict[str, Any]:
+    from terrafuse.errors import InputError
+
+    found = {f"{entry.node}/{status.name}": (entry, status) for entry in asking.fleet() for status in entry.services}
+    if service not in found:
+        raise InputError(f"no service '{service}'; there are {', '.join(found)}")
+    entry, status = found[service]
+    return _status_json(status) | {"node": entry.node, "age_s": round(entry.age_s, 1), "lost": entry.lost}
+
+
+def _brought(
+    asking: Any, state: dict[str, Any], channel: str, layer: str, area: Any, out: Path, drawn: bool
+) -> dict[str, Any]:
+    """A part of the station's map, in a file. What is wrong with what was asked is said before anything comes."""
+    from terrafuse.errors import InputError
+    from terrafuse.export import export_map, format_of
+    from terrafuse.export.files import final
+    from terrafuse.services import fetch
+    from terrafuse.views import chosen_layers
+
+    whole = fetch.map_of(state, channel)
+    (chosen,) = chosen_layers(whole, [layer])
+    if drawn and format_of(out) != "png":
+        raise InputError(f"--sketch --out {out}: a sketch is a picture; name it .png")
+    if drawn:
+        picture, area = fetch.sketch(asking, channel, layer, area)
+        with final(out) as partial:
+            partial.write_bytes(picture)
+        return {"out": str(out), "layer": layer, "area": list(area), "tiles": 0, "bytes": len(picture)}
+    format_of(out)
+    came = fetch.fetch(asking, whole, channel, chosen, area)
+    export_map(came.replica, out, layers=[layer], bounds=came.area)
+    return {"out": str(out), "layer": layer, "area": list(came.area), "tiles": came.tiles, "bytes": came.nbytes}
+
+
+def correct(
+    robot: Annotated[str, typer.Argument(metavar="ROBOT", help="Whose poses they are.")],
+    connect: Connect,
+    shift_east: Annotated[float, typer.Option(metavar="METRES", help="Move them so far east,")] = 0.0,
+    shift_north: Annotated[float, typer.Option(metavar="METRES", help="north,")] = 0.0,
+    shift_up: Annotated[float, typer.Option(metavar="METRES", help="and up.")] = 0.0,
+    turn_deg: Annotated[
+        float, typer.Option(metavar="DEGREES", help="Turn them before that, counterclockwise, about --about.")
+    ] = 0.0,
+    about: Annotated[
+        str | None, typer.Option(metavar="E,N", help="About which place, metres.  [default: the map's origin]")
+    ] = None,
+    since: Annotated[
+        str | None, typer.Option(metavar="TIME", help="From then on: seconds since 1970, or 2026-05-03T10:15:00.")
+    ] = None,
+    until: Annotated[str | None, typer.Option(metavar="TIME", help="Until then; that itself not.")] = None,
+    id_: Annotated[
+        str | None, typer.Option("--id", help="Takes the place of the correction of this name.  [default: a new one]")
+    ] = None,
     station_name: StationName = "station",
     name: Annotated[str | None, typer.Option(help="Of this node; with --keys, the keys' own.")] = None,
     keys: Keys = None,
     insecure: Insecure = False,
     json: Json = False,
 ) -> None:
-    """Print what a service shows of itself: contract, health, counters, state."""
+    """Correct a robot's poses: its station tells it, and it makes its map anew from its own log.
+
+    Corrections add up, in the order in which they were given: look at the map, and correct what is still wrong. The
+    station keeps them until the robot is there; the robot keeps them as long as its map.
+    """
+    import secrets
+    from math import isfinite, radians
+
+    from terrafuse.errors import InputError
+    from terrafuse.exchange.corrections import Correction, flat
+
+    place = arguments.numbers("--about", about, "EAST,NORTH") or (0.0, 0.0)
+    if not all(map(isfinite, (shift_east, shift_north, shift_up, turn_deg))):
+        raise InputError("--shift-east, --shift-north, --shift-up, --turn-deg: give finite numbers")
+    motion = flat(shift_east, shift_north, radians(turn_deg), shift_up, (place[0], place[1]))
+    from_ns, until_ns = _stamp("--since", since, 0), _stamp("--until", until, 2**63 - 1)
+    if from_ns >= until_ns:
+        raise InputError(f"--since {since} --until {until}: there is no time between them")
+    one = Correction(id_ or secrets.token_hex(6), time.time_ns(), from_ns, until_ns, motion)
+    with _operator(connect, station_name, name, keys, insecure) as asking:
+        holds = asking.correct(robot, [one])
+    if json:
+        say_json({"robot": robot, "id": one.id, "corrections": holds})
+    else:
+        say(f"correction {one.id}: '{station_name}' has it, and tells '{robot}'; {holds} in all")
+
+
+def _stamp(option: str, text: str | None, default: int) -> int:
+    """A time as nanoseconds since 1970: no float could hold them."""
+    from datetime import UTC, datetime, timedelta
+    from decimal import Decimal, InvalidOperation
+
     from terrafuse.errors import InputError
 
-    with _operator(connect, station_name, name, keys, insecure) as asking:
-        entries = asking.fleet()
-    found = {f"{entry.node}/{status.name}": (entry, status) for entry in entries for status in entry.services}
-    if service not in found:
-        raise InputError(f"no service '{service}'; there are {', '.join(found)}")
-    entry, status = found[service]
-    value = _status_json(status) | {"node": entry.node, "age_s": round(entry.age_s, 1), "lost": entry.lost}
-    if json:
-        say_json(value)
-    else:
-        from json import dumps
-
-        say(dumps(value, indent=1, allow_nan=False))
+    if text is None:
+        return default
+    try:
+        stamp = int(Decimal(text) * 10**9)
+    except (InvalidOperation, ValueError, OverflowError):
+        try:
+            when = datetime.fromisoformat(text)
+        except ValueError:
+            raise InputError(f"{option} {text}: give seconds since 1970, or a time like 2026-05-03T10:15:00") from None
+        when = when if when.tzinfo else when.replace(tzinfo=UTC)
+        stamp = (when - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(microseconds=1) * 1000
+    if not 0 <= stamp < 2**63:
+        raise InputError(f"{option} {text}: give a time after 1970 and before 2262")
+    return stamp
 
 
 # --- running ----------------------------------------------------------------------------------------------------------
@@ -249,26 +404,33 @@ def _path(store: str) -> Path:
 
 
 def _settings(**parts: Any) -> FleetSettings:
+    from terrafuse.services.settings import FleetSettings
+
+    settings: FleetSettings = _checked_part(FleetSettings, **parts)
+    return settings
+
+
+def _checked_part(kind: Callable[..., Any], **values: Any) -> Any:
     from pydantic import ValidationError
 
     from terrafuse.errors import InputError
-    from terrafuse.services.settings import FleetSettings
 
     try:
-        return FleetSettings(**parts)
+        return kind(**values)
     except ValidationError as error:
         raise InputError(error.errors()[0]["msg"]) from error
 
 
 def _run(settings: FleetSettings, names: Sequence[str], json: bool) -> int:
     """Run these nodes, tell of them on stderr, and of what came of it on stdout; returns the exit code."""
-    from terrafuse.services.carriers import carrier
+    from terrafuse.services.carriers import carrier, upstream
     from terrafuse.services.node import make_node
     from terrafuse.services.run import Hung, run, stopped_by_signals
 
     tell_of_compiling()
     carry = carrier(settings, note)
-    nodes = [make_node(settings, name, carry) for name in names]
+    above = upstream(settings, note)
+    nodes = [make_node(settings, name, carry, above) for name in names]
     for name in names:
         note(f"{name}: {_begins(settings, name)}")
     # Only now: before, nothing has to be put down, and what is being imported or read could not be told to stop.
@@ -330,7 +492,9 @@ def _progress(node: Node) -> str:
     lacks = sum(n for by in exchange.get("behind", {}).values() for robots in by.values() for n in robots.values())
     reached = "in reach" if set(exchange.get("stations", [])) <= set(exchange.get("peers", [])) else "not in reach"
     left = f"lacks {lacks} pieces of it" if lacks else "has what was told"
-    return f"{mapping.get('revision', 0)}{of} scans mapped; the station {left}, and is {reached}"
+    again = mapping.get("rebuilding")
+    anew = "" if again is None else f", {again} of them to be mapped anew by corrected poses"
+    return f"{mapping.get('scans', 0)}{of} scans mapped{anew}; the station {left}, and is {reached}"
 
 
 def _tell(nodes: Sequence[Node], done: bool, json: bool) -> None:
@@ -422,7 +586,19 @@ def _gone(entry: Entry) -> str:
     return "left" if any(status.state.get("level") for status in entry.services) else "lost"
 
 
-SHOWN = ("scans", "revision", "tiles", "peers", "behind", "channels", "trouble", "said", "nodes")
+SHOWN = (
+    "scans",
+    "revision",
+    "corrections",
+    "rebuilding",
+    "tiles",
+    "peers",
+    "behind",
+    "channels",
+    "trouble",
+    "said",
+    "nodes",
+)
 """Of states, in the table; `terrafuse get` has all."""
 
 

@@ -6,17 +6,21 @@ number = courier.ask("station", Question("tile", "fine", x=3, y=-1))
 Both travel as posts. A question, of the kind `ask/SLOT`, is msgpack, an array of
 
     number      int, of the asker's
-    what        "tile" or "picture"
+    what        "tile", "picture" or "extent"
     channel     str
     x, y        int, of the tile
     layer       str: of a picture; "" for the model's own
+    area        nil or [west, south, east, north], metres: of a picture; nil: the tile's. May be left out
 
 and its answer, of the kind `answer/SLOT` with the same slot, an array of
 
     number      int
     reason      str: why there is none; "" with one
     content     bin: of a tile, a delta (`exchange.codec`) of the global cells, which says the answering node is its
-                robot; of a picture, PNG
+                robot; of a picture, PNG; of the extent, msgpack, [west, south, east, north] of all tiles in metres, or
+                nil where there is none
+
+A reason that begins with "busy" is none for good: who asks again a second later may be answered.
 
 A node has as many questions under way to a peer as there are slots, 0 to 15; a further one takes the place of the
 oldest.
@@ -40,6 +44,8 @@ ASK = "ask/"
 SLOTS = 16
 MOST_ANSWER = 4 << 20
 """Bytes."""
+BUSY = "busy"
+"""What the reason of a node begins with that was asked too much for now."""
 
 
 class Question(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
@@ -51,6 +57,7 @@ class Question(msgspec.Struct, array_like=True, forbid_unknown_fields=True, froz
     x: int = 0
     y: int = 0
     layer: str = ""
+    area: tuple[float, float, float, float] | None = None
 
 
 class Answer(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):

@@ -43,6 +43,8 @@ class Channel:
     """What this node itself reports; its robot has the node's name. The courier takes it into the store, too."""
     relay: bool = False
     """Whether it passes on what others report, out of its store: a station does."""
+    deaf: bool = False
+    """It only tells what is in its store, which others write to: nothing of what peers say comes into it."""
     near: bool = False
     """Only tiles within a peer's area of interest are for it: what the station tells a robot of the whole map."""
     guard: Guard | None = None

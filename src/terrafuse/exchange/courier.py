@@ -105,7 +105,7 @@ class Courier:
         self._posts.on_message, self._posts.on_correction = on_message, on_correction
         self._posts.on_answer, self._posts.answerer = on_answer, answerer
         self._holdings = {channel.name: Holding(channel, self.counts) for channel in channels}
-        replicas = {name: holding for name, holding in self._holdings.items() if holding.store is not None}
+        replicas = {name: holding for name, holding in self._holdings.items() if holding.takes}
         self._comparing = {name: Comparing(holding, self.settings) for name, holding in replicas.items()}
         self._bringers = {
             name: Bringer(
@@ -202,7 +202,7 @@ class Courier:
         for name in [""] if self._only is None else [f"/{name}" for name in sorted({*self._only, self.node})]:
             self._link.listen("summary" + name)
         for channel, holding in self._holdings.items():
-            if holding.store is not None:
+            if holding.takes:
                 self._link.listen(f"delta/{channel}")
                 self._link.listen(f"tiles/{channel}")
 

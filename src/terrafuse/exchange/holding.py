@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Hashable, Iterable, Mapping
 from dataclasses import replace
 
 from terrafuse.errors import CodecError, DeltaError
@@ -39,6 +39,7 @@ class Holding:
         """Of the channel's lattice, as soon as anything of it is there."""
         self.growth = Growth()
         """Of what this node itself made."""
+        self._version: Hashable = None
         self._claims: dict[str, Claim] = {}
         """That can't be followed yet."""
         self._counts = counts
@@ -50,7 +51,9 @@ class Holding:
             self.own.begin(self.of(self.own.robot).newest)
 
     def take_own(self) -> None:
-        """Take in what this node itself made since the last time."""
+        """Take in what this node itself made since the last time; or what others put into the store."""
+        if self.channel.deaf:
+            self._look_again()
         if self.own is None or not self.own.revision:
             return
         known = self.of(self.own.robot)
@@ -95,7 +98,7 @@ class Holding:
 
         False for what may be taken if it comes again. Raises CodecError for bytes that are none.
         """
-        if self.store is None:
+        if self.store is None or not self.takes:
             return True
         screen = self.channel.screen
         if screen is not None and (reason := screen(sender, piece.delta)) is not None:
@@ -123,6 +126,18 @@ class Holding:
     def surpass(self, revision: int) -> bool:
         """A peer holds this revision of the node's own robot: is it of an earlier life of the node?"""
         return self.own is not None and self.own.surpass(revision)
+
+    @property
+    def takes(self) -> bool:
+        """Whether contributions of others come into the store by this."""
+        return self.store is not None and not self.channel.deaf
+
+    def _look_again(self) -> None:
+        assert self.store is not None
+        version = self.store.version()
+        if version != self._version:
+            self._version = version
+            self._find()
 
     def _find(self) -> None:
         """What the store holds, and which of it is of an earlier life of this node."""

@@ -24,6 +24,8 @@ from terrafuse.exchange.pace import SECOND_NS, CourierSettings
 from terrafuse.exchange.peer import ANSWER, Flight, Peer, Posted, parts_of
 from terrafuse.exchange.posts import MOST_PAYLOAD, Inbox, Post, decode_post, encode_post
 
+MOST_ANSWERS_BYTES = 64 << 20
+"""Of answers that have not arrived yet, to all who asked: beyond, the oldest go."""
 MOST_UNSAID = 256
 """Posts acknowledged in one summary."""
 
@@ -43,6 +45,9 @@ class Postbox:
         self._inbox = Inbox()
         self._finished: dict[bytes, None] = {}
         """Posts that arrived since the last summary."""
+        self._answers: dict[tuple[str, str], tuple[Peer, int]] = {}
+        """That may not have arrived yet, by peer and kind: how long they are. The oldest first."""
+        self._answers_bytes = 0
         self._posted = self._asked = 0
 
     def put(self, peer: Peer, kind: str, payload: bytes) -> None:
@@ -65,8 +70,10 @@ class Postbox:
 
     def bring(self, peer: Peer, born_ns: int) -> None:
         """Send what the peer lacks, again what was in vain."""
-        for kind, post in peer.posts.items():
+        for kind, post in list(peer.posts.items()):
             if post.arrived:
+                if kind.startswith(ANSWER):
+                    self._drop_answer(peer, kind)
                 continue
             if post.flight is None:
                 content = encode_post(Post(born_ns, post.number, kind, post.payload))
@@ -112,7 +119,22 @@ class Postbox:
         question, slot = decode_question(post.payload), post.kind.removeprefix(ASK)
         if peer is not None and slot.isdecimal() and int(slot) < SLOTS:
             answer = answered(self.answerer, peer.name, question)
-            self._put(peer, f"{ANSWER}{slot}", encode_message(answer))
+            self._keep_answer(peer, f"{ANSWER}{slot}", encode_message(answer))
+
+    def _keep_answer(self, peer: Peer, kind: str, payload: bytes) -> None:
+        """Until it arrived, or too much waits for those who asked."""
+        self._drop_answer(peer, kind)
+        self._put(peer, kind, payload)
+        self._answers[peer.name, kind] = (peer, len(payload))
+        self._answers_bytes += len(payload)
+        while self._answers_bytes > MOST_ANSWERS_BYTES:
+            (_, oldest), (whose, _) = next(iter(self._answers.items()))
+            self._drop_answer(whose, oldest)
+
+    def _drop_answer(self, peer: Peer, kind: str) -> None:
+        if (held := self._answers.pop((peer.name, kind), None)) is not None:
+            self._answers_bytes -= held[1]
+            peer.posts.pop(kind, None)
 
     @property
     def unsaid(self) -> bool:

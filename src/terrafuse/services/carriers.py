@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from terrafuse.errors import InputError
 from terrafuse.exchange.links import Link, MemoryHub
 from terrafuse.services.settings import FleetSettings, LinkPart
 
@@ -36,6 +37,17 @@ def _zenoh(settings: FleetSettings, tell: Tell) -> Carrier:
         return lambda: ZenohLink(node, transport, lambda text: tell(f"{node}: {text}"))
 
     return of_node
+
+
+def upstream(settings: FleetSettings, tell: Tell) -> Callable[[], Link] | None:
+    """What makes the station's link to the one above it, if there is one."""
+    part, link = settings.station, settings.link
+    if part is None or not part.upstream:
+        return None
+    if link.kind != "zenoh":
+        raise InputError(f"link kind '{link.kind}' has no stations above stations; make it 'zenoh'")
+    above = link.model_copy(update={"connect": part.upstream})
+    return _zenoh(FleetSettings(link=above), lambda text: tell(f"to {part.upstream_name}: {text}"))(part.name)
 
 
 def transport_of(link: LinkPart, node: str, listens: bool) -> Transport:

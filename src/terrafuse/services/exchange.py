@@ -12,13 +12,16 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from terrafuse.errors import InputError
-from terrafuse.exchange.corrections import Correction, encode_corrections
+from terrafuse.errors import InputError, TerrafuseError
+from terrafuse.exchange.corrections import CORRECTION, Correction, decode_corrections, encode_corrections
 from terrafuse.exchange.courier import Channel, Courier, CourierSettings
 from terrafuse.exchange.delta import map_id
 from terrafuse.exchange.links import Link
 from terrafuse.lattice import Lattice
 from terrafuse.models.base import Model
+from terrafuse.services.answers import Answers
+from terrafuse.services.book import Book, Done, Order, decode_order, encode_order
+from terrafuse.services.mapping import MAPPING
 from terrafuse.services.places import PLACE, PLACE_S, STILL_S, TRACK, TRACK_S, Place, Track, encode
 from terrafuse.services.places import Told as Way
 from terrafuse.services.ports import Handover, Letter, Letterbox, letter_from
@@ -28,7 +31,7 @@ from terrafuse.types import Bounds
 
 TICK_S, LONGEST_TICK_S, LEAST_WAIT_S, FOLD_S = 0.02, 0.06, 0.001, 1.0
 BUSY = 3.0
-"""Times what a tick took, the next one waits, but only until `LONGEST_TICK_S` after this one began: what comes meanwhile
+"""Times what a tick took, the next one waits, but only until `LONGEST_TICK_S` after this one began: what comes until then
 is made to last all at once. After one that took longer than that, enough waits."""
 EXCHANGE, MAP_MANAGER = "exchange", "map-manager"
 
@@ -64,8 +67,10 @@ class Told:
     track: Track = field(default_factory=Track)
     area: Callable[[Place | None], Bounds | None] = nowhere
     """Of interest to it, where it is there."""
-    corrections: Path | None = None
-    """The file of corrections of its poses."""
+
+
+def nobody(sender: str, robot: str) -> bool:
+    return False
 
 
 def unheard(sender: str, kind: str, payload: bytes, now_ns: int) -> bool:
@@ -78,6 +83,9 @@ class Exchange(Service):
     `stations`: whom it asks to take its map, and waits for: it is done when all of it is there, and nothing more comes.
     `deliver(service, message)` hands a message of another node to a service of this one; but first it is for
     `hear(sender, kind, payload, now_ns)`, which says whether it was, and raises ValueError for what is none.
+    `answers` what peers ask for. `book`: the file of corrections of poses (`services.book`): of a robot's own, or of
+    those that a station passes on, of whoever `may_correct(sender, robot)`. `joins`: its peers are stations to it,
+    though it is none's robot: it passes on to them what it holds. `area`: of interest to it.
     """
 
     def __init__(
@@ -94,25 +102,36 @@ class Exchange(Service):
         told: Told | None = None,
         hear: Callable[[str, str, bytes, int], bool] = unheard,
         fold: Callable[[Collection[Bounds]], object] = unfolded,
+        answers: Answers | None = None,
+        book: Path | None = None,
+        may_correct: Callable[[str, str], bool] = nobody,
+        joins: bool = False,
+        area: Bounds | None = None,
     ) -> None:
         super().__init__()
         self.contract = contract_of(name)
-        self.stations = tuple(peers or ()) if told else ()
+        self.stations = tuple(peers or ()) if told or joins else ()
         self.partners = ("mapping", *(f"{station}/{MAP_MANAGER}" for station in self.stations)) if told else ()
         self._about, self._letters, self._deliver, self._told, self._hear = about, letters, deliver, told, hear
         self._place: Place | None = None
         self._way: Way | None = None
         self._place_ns = self._way_ns = self._fold_ns = 0
         self._fold = fold
-        self._corrections = 0
+        self._book = None if book is None else Book(book)
+        self._may_correct = may_correct
         self._channels = channels()
         self._link = link()
         try:
             self._courier = Courier(
                 self._link, self._channels, peers=peers, on_message=self._bring, on_correction=self._correct,
-                settings=settings,
+                answerer=answers, settings=settings,
             )  # fmt: skip
             self.counts = self._courier.counts
+            self._courier.area = area
+            if answers is not None:
+                answers.counts = self.counts
+            for robot in () if told is not None or self._book is None else self._book.all:
+                self._post_corrections(robot)
             for station in self.stations:
                 join = Message(contract_of(MAP_MANAGER).id, "join", json.dumps(about.as_json()).encode())
                 self._write(Letter(station, MAP_MANAGER, join))
@@ -142,9 +161,13 @@ class Exchange(Service):
     def post(self, message: Message) -> None:
         if message.kind == "join":
             self._meet(message)
+        elif message.kind == "correct":
+            self._take_corrections(message)
         elif message.sender in self.stations:
             self._said[message.sender] = message.payload.decode(errors="replace")
             if message.kind == "refuse":
+                self.counts["refused_by_station"] += 1
+            if message.kind == "refuse" and self._told is not None:
                 raise InputError(f"'{message.sender}' does not take this robot's map: {self._said[message.sender]}")
 
     def state(self) -> dict[str, Any]:
@@ -153,14 +176,15 @@ class Exchange(Service):
             **self._about.as_json(),
             "peers": self._courier.reached(self._now_ns),
             "channels": {channel.name: _held(channel) for channel in self._channels},
+            "cells_m": {one.name: one.store.map.resolution_m for one in self._channels if one.store is not None},
         }
         out |= {name: value for name in ("trouble", "counts") if (value := getattr(self._link, name, None))}
         if self.stations:
             out["stations"] = list(self.stations)
             out["level"] = self._quiet_ns is not None
             out["behind"] = {station: self._courier.behind(station) for station in self.stations}
-        if self._corrections:
-            out["corrections"] = self._corrections
+        if self._book is not None and self._book.all:
+            out["corrections"] = {robot: len(some) for robot, some in self._book.all.items()}
         if any(self._said.values()):
             out["said"] = {station: words for station, words in self._said.items() if words}
         return out
@@ -186,15 +210,42 @@ class Exchange(Service):
                 self._tell(TRACK, encode(way))
 
     def _correct(self, sender: str, corrections: Sequence[Correction]) -> None:
-        """Kept beside the robot's map, all that hold; of stations only."""
-        if self._told is None or self._told.corrections is None or sender not in self.stations:
+        """Kept beside the robot's map, by which that is made anew; of stations only."""
+        if self._told is None or self._book is None or sender not in self.stations:
             self.counts["refused.correction"] += 1
             return
-        file = self._told.corrections
-        partial = file.with_name(f".{file.name}.partial")
-        partial.write_bytes(encode_corrections(corrections))
-        partial.replace(file)
-        self._corrections = len(corrections)
+        robot = self._link.node
+        try:
+            fresh = self._book.add(robot, corrections)
+        except InputError:
+            self.counts["refused.correction"] += 1
+            return
+        if fresh:
+            self.counts["corrections_taken"] += 1
+            self._told.handover.corrected += 1
+            self._told.handover.committed.clear()
+            self._deliver("mapping", Message(MAPPING.id, "correct"))
+
+    def _take_corrections(self, message: Message) -> None:
+        """Of a robot's poses, to be passed on to it; whoever gave them is told what came of it."""
+        order: Order | None = None
+        try:
+            order = decode_order(message.payload)
+            if self._book is None or self._told is not None or not self._may_correct(message.sender, order.robot):
+                raise InputError(f"'{message.sender}' may not correct the poses of '{order.robot}' here")
+            if self._book.add(order.robot, decode_corrections(order.corrections)):
+                self.counts["corrections_taken"] += 1
+                self._post_corrections(order.robot)
+            done = Done(order.number, order.robot, "", len(self._book.of(order.robot)))
+        except TerrafuseError as error:
+            self.counts["refused.correction"] += 1
+            done = Done(0 if order is None else order.number, "" if order is None else order.robot, str(error), 0)
+        reply = Message(contract_of(MAP_MANAGER).id, "corrected", encode_order(done))
+        self._write(Letter(message.sender, "operator", reply))
+
+    def _post_corrections(self, robot: str) -> None:
+        assert self._book is not None
+        self._courier.post(robot, CORRECTION, encode_corrections(self._book.of(robot)))
 
     def _tell(self, kind: str, payload: bytes) -> None:
         for station in self.stations:
@@ -261,7 +312,7 @@ class Exchange(Service):
 
 
 def contract_of(name: str) -> Contract:
-    return Contract(f"terrafuse/{name}", 1, remote=frozenset({"join", "welcome", "refuse"}))
+    return Contract(f"terrafuse/{name}", 1, remote=frozenset({"join", "welcome", "refuse", "correct", "corrected"}))
 
 
 def _held(channel: Channel) -> dict[str, Any]:

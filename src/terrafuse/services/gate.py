@@ -24,16 +24,25 @@ MESSAGE_CELLS = 1 << 17
 
 
 class Gate:
-    """`keys`: the folder of the station's keys; None: each node may report itself."""
+    """`keys`: the folder of the station's keys; None: each node may report itself, and `relays` any robot."""
 
-    def __init__(self, stores: Sequence[Store], quotas: QuotasPart, keys: str | None) -> None:
-        policy: Allows = Policy() if keys is None else Roll(Path(keys))
+    def __init__(
+        self, stores: Sequence[Store], quotas: QuotasPart, keys: str | None, relays: Sequence[str] = ()
+    ) -> None:
+        if keys is not None and relays:
+            raise InputError("relays: with keys, these say who may relay: terrafuse keys add NAME --station")
+        policy: Allows = Policy(frozenset(relays)) if keys is None else Roll(Path(keys))
         self._guards = [_guard(store, quotas, policy) for store in stores]
+        self._policy, self._open = policy, keys is None
 
     def channel(self, name: str, which: int, store: Store, on_change: OnChange = unheard) -> Channel:
         """The channel of a map, which is passed on, too."""
         guard = self._guards[which]
         return Channel(name, store, relay=True, guard=guard.check, screen=guard.screen, on_change=on_change)
+
+    def may_correct(self, sender: str, robot: str) -> bool:
+        """Who may report a robot may say where it was; without keys, anybody."""
+        return self._open or self._policy.allows(sender, robot)
 
     def hear(self, sender: str, kind: str, payload: bytes, now_ns: int) -> bool:
         """Where a robot says that it is, or was; whether the message was of that kind. Raises ValueError for others."""

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from terrafuse.errors import InputError
 from terrafuse.exchange.coarse import CoarseContribution
+from terrafuse.exchange.corrections import Corrections, fingerprint
 from terrafuse.mapper import Mapper
 from terrafuse.mapping import Plan
+from terrafuse.services.book import Book
 from terrafuse.services.ports import Handover, ScanPort
+from terrafuse.services.rebuild import Bases, Rebuild, once_known
 from terrafuse.services.service import SECOND_NS, Contract, Message, Service
 from terrafuse.store.base import Store
 from terrafuse.store.behind import WriteBehind
@@ -19,43 +24,70 @@ from terrafuse.window import make_window
 COMMIT_S = 1.0
 """What is older is on disk, and so can be told: nothing is told that a crash could take back."""
 WAIT_S = 0.01
+MAPPING = Contract("terrafuse/mapping", 1, frozenset({"commit", "correct"}))
 
 
 class Mapping(Service):
     """Takes scans from a port into the robot's map, and that to `archive`, from where the exchange has it.
 
+    `beside`: the archive's file, which the corrections that hold are kept beside; where the map is not by those, it is
+    made anew (`services.rebuild`), at once. `begin` is called when the source has to give something again.
+
     Started afresh, it goes on after the last scan that the archive holds, as `terrafuse map` does. A map that failed in
     the middle of a scan is thrown away.
     """
 
-    contract = Contract("terrafuse/mapping", 1, frozenset({"commit"}))
+    contract = MAPPING
     partners = ("source", "exchange")
 
-    def __init__(self, run: Plan, robot: str, archive: Store, port: ScanPort, handover: Handover) -> None:
+    def __init__(
+        self,
+        run: Plan,
+        robot: str,
+        archive: Store,
+        port: ScanPort,
+        handover: Handover,
+        beside: Path,
+        begin: Callable[[], object] = lambda: None,
+    ) -> None:
         super().__init__()
-        self._run, self._port, self._handover = run, port, handover
-        self._archive = WriteBehind(archive)
-        window = make_window(run.settings.window, run.lattice)
-        self.mapper = Mapper(robot, run.lattice, run.model, window, self._archive)
-        factor = run.settings.global_factor
-        self._coarse = CoarseContribution(self.mapper, factor) if factor > 1 else None
-        self._coarse_told = 0
-        self._committed, self._commit_ns = self.mapper.revision, 0
+        self._run, self._robot, self._port, self._handover, self._begin = run, robot, port, handover, begin
+        self._store = archive
+        self._beside = beside
+        self._bases = Bases(beside.with_suffix(".bases"))
+        self._rebuild: Rebuild | None = None
+        self._corrections: Corrections = ()
+        self._looked = -1
+        self._commit_ns = 0
         self._dropped: Counter[str] = Counter()
         self._touched = 0
         self._scans = 0
-        self._resumed = self.mapper.revision
         self._place_m: list[float] | None = None
-        port.ask(after=self._resumed)
+        self._archive: WriteBehind
+        self._go_on()
+        self._resumed = self.mapper.revision - self._basis.base
+        self._look_at_corrections()
+        if self._rebuild is None:
+            self._ask(self._resumed)
 
     def post(self, message: Message) -> None:
-        self._commit()
+        """`commit`; `correct`: look at the corrections that hold."""
+        if message.kind == "correct":
+            self._look_at_corrections()
+        elif self._rebuild is None:
+            self._commit()
 
     def tick(self, now_ns: int) -> float:
+        if self._rebuild is not None and self._rebuild.left <= 0:
+            self._replace(self._rebuild)
         scan = self._port.take()
         if scan is not None:
             self._integrate(scan)
         ended = scan is None and self._port.ended
+        if ended and self._rebuild is not None:
+            self._replace(self._rebuild)
+        if self._rebuild is not None:
+            return 0.0 if scan is not None else WAIT_S
         if ended or self._due(now_ns):
             self._commit_ns = now_ns
             self._commit()
@@ -69,6 +101,9 @@ class Mapping(Service):
         return {
             "robot": mapper.robot,
             "revision": mapper.revision,
+            "scans": mapper.revision - self._basis.base,
+            "corrections": len(self._corrections),
+            "rebuilding": None if self._rebuild is None else self._rebuild.left,
             "committed": self._committed,
             "resumed_scans": self._resumed,
             "tiles": len(mapper.keys),
@@ -80,16 +115,64 @@ class Mapping(Service):
         }
 
     def leave(self) -> None:
-        if not self.done:
+        if not self.done and self._rebuild is None:
             self._commit()
 
     def close(self) -> None:
-        if not self.done:
+        if self._rebuild is not None:
+            self._rebuild.close()
+        elif not self.done:
             self._archive.close()
+
+    def _go_on(self) -> None:
+        """From what the archive holds."""
+        run = self._run
+        self._archive = WriteBehind(self._store)
+        window = make_window(run.settings.window, run.lattice)
+        self.mapper = Mapper(self._robot, run.lattice, run.model, window, self._archive)
+        self._basis = self._bases.of(self.mapper.revision)
+        self._committed = self.mapper.revision
+        factor = run.settings.global_factor
+        once = once_known(self._store, self._robot, factor) if self._basis.base and factor > 1 else {}
+        self._coarse = CoarseContribution(self.mapper, factor, once) if factor > 1 else None
+        self._coarse_told = 0
+
+    def _ask(self, after: int, known: int = 0) -> None:
+        self._port.ask(after, known, self._corrections)
+        self._begin()
+
+    def _look_at_corrections(self) -> None:
+        """Make the map anew, if it is not by those that hold."""
+        self._looked = self._handover.corrected
+        corrections = Book(self._beside.with_suffix(".corrections")).of(self._robot)
+        by = self._basis.corrections if self._rebuild is None else fingerprint(self._rebuild.corrections)
+        self._corrections = corrections
+        if fingerprint(corrections) == by:
+            if self.done:
+                self._handover.committed.set()
+            return
+        if self._rebuild is not None:
+            self._rebuild.close()
+        elif not self.done:
+            self._commit()
+            self._archive.close()
+        scans = self._store.revision(self._robot) - self._basis.base
+        self._handover.committed.clear()
+        self.done = False
+        beside = self._beside.with_name(f"{self._beside.stem}.rebuild.db")
+        self._rebuild = Rebuild(self._run, self._robot, corrections, scans, beside)
+        self._ask(0, scans)
+
+    def _replace(self, rebuild: Rebuild) -> None:
+        """What was made anew takes its place; go on from there."""
+        rebuild.put_into(self._store, self._bases)
+        self.counts["rebuilds"] += 1
+        self._rebuild = None
+        self._go_on()
 
     def _integrate(self, scan: Scan) -> None:
         try:
-            done = self.mapper.integrate(scan)
+            done = (self._rebuild or self.mapper).integrate(scan)
         except InputError as error:
             raise InputError(f"{self.mapper.robot}: {self._run.logs[self.mapper.robot].path}: {error}") from error
         self._place_m = [round(metres, 3) for metres in scan.T_world_sensor.position.tolist()]
@@ -124,4 +207,5 @@ class Mapping(Service):
                 f"{self._scans} scans ({why}); check its poses and points"
             )
         self.done = True
-        self._handover.committed.set()
+        if self._looked == self._handover.corrected:
+            self._handover.committed.set()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,22 +12,24 @@ from terrafuse.exchange.channel import unheard
 from terrafuse.exchange.courier import Channel, CourierSettings
 from terrafuse.exchange.delta import map_id
 from terrafuse.exchange.globals import GlobalMap
+from terrafuse.exchange.links import Link
 from terrafuse.lattice import Lattice
 from terrafuse.mapping import open_partial, plan, tile_for
 from terrafuse.models import make_model
 from terrafuse.models.base import Model
 from terrafuse.replica import Replica
+from terrafuse.services.answers import Answers
 from terrafuse.services.carriers import Carrier
 from terrafuse.services.directory import DIRECTORY, Directory
 from terrafuse.services.exchange import EXCHANGE, MAP_MANAGER, About, Exchange, Told
 from terrafuse.services.gate import Gate
 from terrafuse.services.held import Held
-from terrafuse.services.mapping import Mapping
+from terrafuse.services.mapping import Mapping as MappingService
 from terrafuse.services.places import Place
 from terrafuse.services.ports import Handover, Letterbox, ScanPort
 from terrafuse.services.precision import keep_to, projection
-from terrafuse.services.service import DONE, Status
-from terrafuse.services.settings import FleetSettings, RobotPart
+from terrafuse.services.service import DONE, Message, Status
+from terrafuse.services.settings import FleetSettings, RobotPart, StationPart
 from terrafuse.services.simulated import source_text
 from terrafuse.services.source import Source
 from terrafuse.services.supervise import Orchestration, Restarts, Spec, Supervisor
@@ -66,15 +68,18 @@ class Node:
         self.files.close()
 
 
-def make_node(settings: FleetSettings, name: str, carrier: Carrier) -> Node:
-    """A node of these settings by its name. Raises InputError and its kin before anything runs."""
+def make_node(settings: FleetSettings, name: str, carrier: Carrier, upstream: Callable[[], Link] | None = None) -> Node:
+    """A node of these settings by its name. Raises InputError and its kin before anything runs.
+
+    `upstream` makes the station's link to the one above it, if there is one.
+    """
     if settings.station is not None and name == settings.station.name:
-        return station(settings, carrier)
+        return station(settings, carrier, upstream)
     return robot(settings, name, carrier)
 
 
-def station(settings: FleetSettings, carrier: Carrier) -> Node:
-    """Map manager, directory, and the mapping orchestration over them."""
+def station(settings: FleetSettings, carrier: Carrier, upstream: Callable[[], Link] | None = None) -> Node:
+    """Map manager, directory, and the mapping orchestration over them; with a station above it, an exchange with it."""
     part = settings.station
     assert part is not None
     files = ExitStack()
@@ -87,9 +92,10 @@ def station(settings: FleetSettings, carrier: Carrier) -> Node:
 
     maps = {FINE: store} if coarse is None else {COARSE: coarse, FINE: store}
     keys = None if settings.link.keys is None else settings.link.keys.replace("{node}", part.name)
-    gate = Gate(list(maps.values()), part.quotas, keys)
+    gate = Gate(list(maps.values()), part.quotas, keys, part.relays)
 
-    folded = GlobalMap(part.name, Replica(store=store))
+    replicas = {name: Replica(store=map_) for name, map_ in maps.items()}
+    folded = GlobalMap(part.name, replicas[FINE])
 
     def channels() -> Sequence[Channel]:
         heard = {FINE: folded.changed}
@@ -101,14 +107,65 @@ def station(settings: FleetSettings, carrier: Carrier) -> Node:
         Spec(
             MAP_MANAGER,
             lambda: Exchange(
-                MAP_MANAGER, about, link, channels, pace, letters, supervisor.send, hear=gate.hear, fold=folded.update
+                MAP_MANAGER,
+                about,
+                link,
+                channels,
+                pace,
+                letters,
+                supervisor.send,
+                hear=gate.hear,
+                fold=folded.update,
+                answers=Answers(part.name, replicas),
+                book=Path(part.store).with_suffix(".corrections"),
+                may_correct=gate.may_correct,
             ),
             restarts=ALWAYS,
         ),
-        *_common("terrafuse/mapping-orchestration", lambda: supervisor, part.name, letters, (), pace.bytes_per_s),
     ]
+    above: tuple[str, ...] = ()
+    if upstream is not None:
+        outgoing, above = Letterbox(), (part.upstream_name,)
+        specs.append(_uplink(part, about, upstream, maps, files, pace, outgoing, lambda: supervisor))
+        letters = letters.forked(part.upstream_name, outgoing)
+    specs += _common("terrafuse/mapping-orchestration", lambda: supervisor, part.name, letters, above, pace.bytes_per_s)
     supervisor = Supervisor(specs)
     return Node(part.name, supervisor, None, files)
+
+
+def _uplink(
+    part: StationPart,
+    about: About,
+    link: Callable[[], Link],
+    maps: Mapping[str, Store],
+    files: ExitStack,
+    pace: CourierSettings,
+    letters: Letterbox,
+    supervisor: Callable[[], Supervisor],
+) -> Spec:
+    """Passes on what the station holds to the one above it, and holds that one's map where it is asked to."""
+    near = None if part.area_m is None else _beside(files, Path(part.store), GLOBAL, maps[FINE])
+
+    def channels() -> Sequence[Channel]:
+        told = [Channel(name, store, relay=True, deaf=True) for name, store in maps.items()]
+        return told if near is None else [*told, Channel(GLOBAL, near, near=True)]
+
+    return Spec(
+        EXCHANGE,
+        lambda: Exchange(
+            EXCHANGE,
+            about,
+            link,
+            channels,
+            pace,
+            letters,
+            supervisor().send,
+            peers=[part.upstream_name],
+            joins=True,
+            area=None if part.area_m is None else Bounds(*part.area_m),
+        ),
+        restarts=ALWAYS,
+    )
 
 
 def robot(settings: FleetSettings, name: str, carrier: Carrier) -> Node:
@@ -128,7 +185,7 @@ def robot(settings: FleetSettings, name: str, carrier: Carrier) -> Node:
     port, handover, letters = ScanPort(), Handover(), Letterbox()
     told = Told(
         archive, handover, MemoryStore(run.lattice.coarser(factor), run.model) if factor > 1 else None,
-        area=_area(part), corrections=Path(part.store).with_suffix(".corrections"),
+        area=_area(part),
     )  # fmt: skip
     near = _beside(files, Path(part.store), GLOBAL, archive) if part.area_m or part.area_radius_m else None
     replica = _beside(files, Path(part.store), "replica", archive) if share == FINE else None
@@ -143,14 +200,38 @@ def robot(settings: FleetSettings, name: str, carrier: Carrier) -> Node:
             return some
         return [Channel(COARSE, whole, Held(told.coarse, name), project=project), *some]
 
+    shown = {FINE: archive, COARSE: told.coarse, GLOBAL: near}
+    answers = Answers(name, {what: Replica(store=map_) for what, map_ in shown.items() if map_ is not None})
     link = carrier(name)
     specs = [
         Spec("source", lambda: Source(run, name, port, part.realtime, told.track), thread="mapping"),
-        Spec("mapping", lambda: Mapping(run, name, archive, port, handover), thread="mapping"),
+        Spec(
+            "mapping",
+            lambda: MappingService(
+                run,
+                name,
+                archive,
+                port,
+                handover,
+                Path(part.store),
+                lambda: supervisor.send("source", Message(Source.contract.id, "begin")),
+            ),
+            thread="mapping",
+        ),
         Spec(
             EXCHANGE,
             lambda: Exchange(
-                EXCHANGE, about, link, channels, pace, letters, supervisor.send, peers=settings.reported_to, told=told
+                EXCHANGE,
+                about,
+                link,
+                channels,
+                pace,
+                letters,
+                supervisor.send,
+                peers=settings.reported_to,
+                told=told,
+                answers=answers,
+                book=Path(part.store).with_suffix(".corrections"),
             ),
             restarts=ALWAYS,
         ),
@@ -233,7 +314,7 @@ def _area(part: RobotPart) -> Callable[[Place | None], Bounds | None]:
 
 
 def _beside(files: ExitStack, path: Path, what: str, archive: Store) -> SqliteStore:
-    """Another store of the robot's lattice, beside its own."""
+    """Another store of the same lattice, beside the node's own."""
     beside = path.with_name(f"{path.stem}.{what}.db")
     return files.enter_context(_opened(beside, archive.map.lattice, archive.model))
 

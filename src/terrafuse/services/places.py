@@ -81,6 +81,11 @@ class Track:
                 self._places_m = self._places_m[::2]
                 self._spacing_m *= 2
 
+    def clear(self) -> None:
+        """It is told anew, from the beginning."""
+        with self._lock:
+            self._spacing_m, self._places_m = SPACING_M, []
+
     def told(self) -> Told:
         with self._lock:
             return Told(self._spacing_m, [round(metres) for place in self._places_m for metres in place])

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from terrafuse.exchange.corrections import Corrections
 from terrafuse.exchange.delta import Delta
 from terrafuse.services.service import Message
 from terrafuse.types import Scan
@@ -22,6 +23,10 @@ class Wanted:
 
     life: int = 0
     after: int = 0
+    known: int = 0
+    """Scans that were mapped before: they come at once."""
+    corrections: Corrections = ()
+    """Of their poses."""
 
 
 class ScanPort:
@@ -35,18 +40,18 @@ class ScanPort:
         self._given = 0
         self._ended = False
 
-    def ask(self, after: int) -> None:
+    def ask(self, after: int, known: int = 0, corrections: Corrections = ()) -> None:
         """From now on, give what comes after so many scans."""
         with self._lock:
             self._scans.clear()
-            self._wanted = Wanted(self._wanted.life + 1, after)
+            self._wanted = Wanted(self._wanted.life + 1, after, known, corrections)
             self._given, self._ended = after, False
 
     @property
     def wanted(self) -> Wanted:
         """For a source to begin with: a source that is started afresh goes on after what was given."""
         with self._lock:
-            return Wanted(self._wanted.life, self._given)
+            return replace(self._wanted, after=self._given)
 
     @property
     def life(self) -> int:
@@ -90,7 +95,9 @@ class Handover:
 
     def __init__(self) -> None:
         self.committed = threading.Event()
-        """All scans of the source are."""
+        """All scans of the source are, by the corrections that hold."""
+        self.corrected = 0
+        """How often corrections came that the mapping has to look at; the exchange's to count."""
         self.coarse: deque[Delta] = deque()
 
     @property
@@ -131,5 +138,18 @@ class Letterbox:
     def put(self, letter: Letter) -> None:
         self._letters.append(letter)
 
+    def forked(self, node: str, other: Letterbox) -> Letterbox:
+        """One that puts letters to `node` into the other, and the rest into this one."""
+        return _Fork(self, node, other)
+
     def take(self) -> list[Letter]:
         return [self._letters.popleft() for _ in range(len(self._letters))]
+
+
+class _Fork(Letterbox):
+    def __init__(self, first: Letterbox, node: str, other: Letterbox) -> None:
+        super().__init__()
+        self._first, self._node, self._other = first, node, other
+
+    def put(self, letter: Letter) -> None:
+        (self._other if letter.node == self._node else self._first).put(letter)

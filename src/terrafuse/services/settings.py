@@ -56,7 +56,23 @@ class StationPart(Part):
     store: str
     """The file of its map."""
     bytes_per_s: float | None = Field(None, gt=0)
+    """On each of its links."""
     quotas: QuotasPart = QuotasPart()
+    relays: tuple[str, ...] = ()
+    """Without keys: nodes that may pass on what any robot reports, such as stations below this one."""
+    upstream: tuple[str, ...] = ()
+    """Where it finds the station above it; the first that answers."""
+    upstream_name: str = Field(STATION, pattern=NAME)
+    area_m: tuple[float, float, float, float] | None = None
+    """West, south, east, north: where it holds the map of the station above."""
+
+    @model_validator(mode="after")
+    def _is_not_above_itself(self) -> StationPart:
+        if self.upstream and self.upstream_name == self.name:
+            raise ValueError(f"this station and the one above it are both called '{self.name}'; names must differ")
+        if self.area_m is not None and not self.upstream:
+            raise ValueError("an area of interest is for the map of a station above: give its address (upstream), too")
+        return self
 
 
 class RobotPart(Part):

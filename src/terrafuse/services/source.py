@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
+from terrafuse.exchange.corrections import Corrections, corrected
 from terrafuse.logs.base import Log, Record
 from terrafuse.mapping import Plan, placed, prepared
 from terrafuse.services.places import Track
@@ -21,7 +22,7 @@ class Source(Service):
     """Gives the plan's robot's scans to a port, as fast as they are taken, or at the pace of their stamps; and to a
     track where they were taken."""
 
-    contract = Contract("terrafuse/source", 1, frozenset({"pause", "resume"}))
+    contract = Contract("terrafuse/source", 1, frozenset({"pause", "resume", "begin"}))
     partners = ("mapping",)
 
     def __init__(
@@ -34,7 +35,8 @@ class Source(Service):
         self._life = 0
         self._records: Iterator[Record] = iter(())
         self._passed_over = 0
-        self._after = 0
+        self._after = self._known = 0
+        self._corrections: Corrections = ()
         self._skipped: Counter[str] = Counter()
         self._next: Scan | None = None
         self._offset_ns: int | None = None
@@ -42,6 +44,10 @@ class Source(Service):
         self._points = self._scans = 0
 
     def post(self, message: Message) -> None:
+        """`begin`: there is more to give, though all was given."""
+        if message.kind == "begin":
+            self.done = self.done and self._port.life == self._life
+            return
         self._paused = message.kind == "pause"
         self._offset_ns = None
 
@@ -57,9 +63,9 @@ class Source(Service):
             self._port.end(self._life)
             self.done = True
             return IDLE_S
-        if self._realtime and (wait_s := self._early_s(self._next.stamp_ns, now_ns)) > 0:
+        if self._realtime and self._scans > self._known and (wait_s := self._early_s(self._next.stamp_ns, now_ns)) > 0:
             return wait_s
-        scan = prepared(self._run, self._robot, self._next)
+        scan = prepared(self._run, self._robot, self._next, self._corrections)
         self._track.add(scan)
         self._port.put(self._life, scan)
         self._next = None
@@ -80,6 +86,8 @@ class Source(Service):
     def _begin(self) -> None:
         wanted = self._port.wanted
         self._life, self._after = wanted.life, wanted.after
+        self._known, self._corrections = wanted.known, wanted.corrections
+        self._track.clear()
         self._records, self._next, self._offset_ns, self.done = self._log.scans(), None, None, False
         self._passed_over = self._scans = self._points = 0
         self._skipped.clear()
@@ -91,7 +99,7 @@ class Source(Service):
             if scan is None:
                 self._after = self._passed_over  # fewer than the map holds: the mapping says what that means
                 break
-            self._track.add(placed(scan, self._log, self._run.settings))
+            self._track.add(corrected(placed(scan, self._log, self._run.settings), self._corrections))
             self._passed_over += 1
         return 0.0
 

@@ -143,17 +143,20 @@ def test_whims_are_those_of_the_seed():
     assert len(set(headings(1))) > 4  # it does not go one way for ever
 
 
-def test_two_that_drive_into_each_other_stop_apart_and_get_away():
-    world = hallway_world()
+@pytest.mark.parametrize("body", ["nomad", "soccer"])
+@pytest.mark.parametrize(("x_m", "aside_m"), [(11.03, 0.05), (11.03, 0.0), (13.0, 0.0), (13.0, 0.3)])
+def test_two_that_drive_into_each_other_stop_apart_and_get_away(body: str, x_m: float, aside_m: float) -> None:
+    world, diameter_m = hallway_world(), 2 * BODIES[body].radius_m
     surface = Surface(world, RayCaster(world))
-    fleet = Fleet([Start("nomad", 10.0, 6.0, 0.0), Start("nomad", 11.03, 6.05, radians(180))], surface, world)
-    for _ in range(20):
-        fleet.step({0: Drive(0.6), 1: Drive(0.6)}, 0.2, NO_BODIES)
+    fleet = Fleet([Start(body, 10.0, 6.0, 0.0), Start(body, x_m, 6.0 + aside_m, radians(180))], surface, world)
+    for _ in range(60):
+        fleet.step({0: Drive(0.6), 1: Drive(0.6)}, 0.1, NO_BODIES)
     assert fleet.stopped_by_something(0)
-    assert gap(fleet) >= 2 * NOMAD.radius_m - 5e-3  # rims are looked at every 0.1 m
-    for _ in range(10):
-        fleet.step({0: Drive(-0.2), 1: Drive(-0.2)}, 0.2, NO_BODIES)
-    assert gap(fleet) > 2 * NOMAD.radius_m + 0.5
+    assert fleet.stopped_by_something(1)
+    assert gap(fleet) >= diameter_m - 0.02  # rims are looked at every 0.1 m
+    for _ in range(20):
+        fleet.step({0: Drive(-0.2), 1: Drive(-0.2)}, 0.1, NO_BODIES)
+    assert gap(fleet) > diameter_m + 0.5
 
 
 def gap(fleet: Fleet) -> float:

@@ -1,4 +1,5 @@
-"""Where robots truly are, and how they move on: robots of one body together, none through anything."""
+"""Where robots truly are, and how they move on: robots of one body together. On wheels, none goes through anything; to
+robots with physics those without are as air, and what flies meets what stands, but not each other."""
 
 from __future__ import annotations
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 KINEMATIC, PHYSICS = "kinematic", "physics"
 """How robots move: as told, within limits; or with mass, wheels and contact."""
+EPSILON_M = 1e-9
 
 
 class Drive(NamedTuple):
@@ -122,12 +124,32 @@ class Fleet:
 
     def _keep_apart(self, before: Sequence[State], touching: Mapping[int, int]) -> None:
         """Each avoided where the others were before the step. Of two that are in each other now, more than they were,
-        the first goes back to where it was itself: nobody came there."""
+        the first goes back to where it was itself: nobody came there; and so does whoever went on into another."""
+        were_m = {number: self._place(number, before) for number in range(len(self))}
         for number in self._near_others():
             group, row = self._where[number]
-            if group.motion == KINEMATIC and self._touching(number) > touching.get(number, 0):
-                was = next(state for one, state in zip(self._groups, before, strict=True) if one is group)
-                group.state = _put_back(group.state, was, row)
+            if group.motion != KINEMATIC:
+                continue
+            now = self._touching(number)
+            if now > touching.get(number, 0) or (now and self._went_on(number, were_m)):
+                group.state = _put_back(group.state, self._of(group, before), row)
+
+    def _went_on(self, number: int, were_m: Mapping[int, Floats]) -> bool:
+        """Whether its own step brought it nearer to where another stood that it may be in."""
+        here, radius = self.position_m(number)[:2], self.kind(number).radius_m
+        for other, stood in were_m.items():
+            if other != number:
+                near, was = (float(np.hypot(*(place - stood))) for place in (here, were_m[number]))
+                if near < was - EPSILON_M and near < radius + self.kind(other).radius_m:
+                    return True
+        return False
+
+    def _place(self, robot: int, states: Sequence[State]) -> Floats:
+        group, row = self._where[robot]
+        return np.asarray(self._of(group, states).position_m[row, :2])
+
+    def _of(self, group: _Group, states: Sequence[State]) -> State:
+        return next(state for one, state in zip(self._groups, states, strict=True) if one is group)
 
     def _near_others(self) -> list[int]:
         """Robots that may touch another, by their radii."""

@@ -37,6 +37,13 @@ def test_html_escapes_everything_and_sets_numbers_right() -> None:
     assert "Simulated seconds &amp; the paper&#x27;s." in text
 
 
+def test_a_row_may_be_named_by_a_number() -> None:
+    text = html(Table("As it grows", ("s", "what"), ((30, "x"), (None, "y"))))
+    assert '<th scope="row" class="number">30</th><td>x</td>' in text
+    assert '<th scope="row" class="number">–</th>' in text
+    assert "Number" not in text
+
+
 def test_no_rows_no_section() -> None:
     empty = Table("Empty", ("a", "b"), ())
     assert html(empty) == markdown(empty) == ""

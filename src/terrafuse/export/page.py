@@ -108,10 +108,10 @@ def table(head: Iterable[str], rows: Sequence[Row]) -> str:
 
 def _cells(row: Row) -> str:
     first, *others = row
-    cells = [f'<th scope="row">{escape(str(first))}</th>']
-    for cell in others:
-        if isinstance(cell, Number):
-            cells.append(f'<td class="number">{escape(cell.text)}</td>')
-        else:
-            cells.append(f"<td>{escape(cell)}</td>")
-    return "".join(cells)
+    return _cell("th", ' scope="row"', first) + "".join(_cell("td", "", cell) for cell in others)
+
+
+def _cell(tag: str, attributes: str, cell: str | Number) -> str:
+    if isinstance(cell, Number):
+        return f'<{tag}{attributes} class="number">{escape(cell.text)}</{tag}>'
+    return f"<{tag}{attributes}>{escape(cell)}</{tag}>"

@@ -139,7 +139,8 @@ def _smaller(picture: Any, side: int) -> list[Any]:
     several = getattr(picture, "n_frames", 1) > 1
     how = Image.Resampling.NEAREST if several else Image.Resampling.LANCZOS
     frames = [frame.convert("RGB").resize(size, how) for frame in ImageSequence.Iterator(picture)]
-    colours = frames[-1].quantize(255, dither=Image.Dither.NONE)
+    # Colours far apart, or robots' few pixels would take that of their neighbours.
+    colours = frames[-1].quantize(255, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     return [frame.quantize(palette=colours, dither=Image.Dither.NONE) for frame in frames]
 
 

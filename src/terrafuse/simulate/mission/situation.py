@@ -23,7 +23,8 @@ RISING = 0.15
 
 @dataclass(eq=False)
 class Situation:
-    """Of one robot; the engine keeps it up to date, its behaviour reads it. Nothing in it is the truth."""
+    """Of one robot; the engine keeps it up to date, its behaviour reads it. Where it is, is what the robot believes;
+    its speed and yaw rate are the true ones, as wheels and a gyroscope tell them well enough to steer by."""
 
     name: str
     body: Body

@@ -74,8 +74,8 @@ class Timeline:
 
     def _at_station(self, mission: Mission) -> Array:
         replica = without_prior(mission.station.replica)
-        layer = replica.model.occupied
-        return np.isfinite(views.mosaic(replica, [layer], self._window)[layer.name])
+        cells = views.cells_in(replica, self._window, frozenset(replica.keys))
+        return np.asarray(replica.model.known(cells))
 
     def _heights(self, mission: Mission) -> dict[str, Any]:
         """RMSE over building cells of the station's map: of all that it has, the prior's too, and of what was seen."""

@@ -141,7 +141,8 @@ def pause_table(missions: Sequence[Mission]) -> Table:
         tuple(_pause_row(mission, vehicle) for mission in missions for vehicle in mission.vehicles),
         "A pause is the longest that a scan took: cones, cells, and where blocks left the window, their commit to the "
         "mission's store on the robot's own thread, and reading back; by the clock on the wall. The first scan of each "
-        "robot, which loads compiled loops, is left out.",
+        "robot, which loads compiled loops, is left out. Coarsening and telling others is no part of it, but "
+        "of 'exchange', below.",
     )  # fmt: skip
 
 

@@ -103,7 +103,9 @@ class Game:
             tuple((*row[:3], min(s[0] for s in self._shares[str(row[0])]), *row[3:]) for row in rows),
             f"Once a second from {FIRST_S:g} s on, at the station; occupied is a white value over ½. Robots' cells are "
             "those of their true middles. Free cells: of those on the field that are over a cell away from every robot "
-            "and board. Robots drawn: over the fused map, where they say that they are.",
+            "and board. Sonars alone: what robots hear of each other, a sonar that looks through where one stood "
+            "fuses away. Robots drawn: over the fused map, where they say that they are, as in the paper, whose "
+            "cameras tell them; here they know it exactly, so that none can be missed.",
         )  # fmt: skip
 
 

@@ -40,6 +40,8 @@ FLEETS = (1, 2, 3, 6, 12)
 MAPPED = 0.95
 FLEET_HZ = 2.0
 SAMPLE_S = 30.0
+GLRM_RMSE_M = 2.0
+"""Of building cells of 5 m: what robots on the street can't see makes a map without a fault err by as much."""
 MOST = 255
 """The layer `confidence` of what is sure."""
 
@@ -58,8 +60,9 @@ def stage_table(mission: Mission) -> Table:
     return Table(
         "Milliseconds a stage (table 2 of the patrol paper)", headings, (*rows, sums),
         f"Up to the merge into the HRM: a scan of {points:,.0f} points in the mean. HRM to LLRM: one report of what "
-        "changed since the one before. LLRM into GLRM: one delta, taken in by the station. The paper: Core i3, "
-        "2.2 GHz, C#; how many points a scan had, it does not say.",
+        "changed since the one before. LLRM into GLRM: all that the station does, receiving, fusing, telling what it "
+        "holds, by the delta taken in; the same for each robot. 'All' is one of each. The paper: Core i3, 2.2 GHz, C#; "
+        "how many points a scan had, it does not say.",
     )  # fmt: skip
 
 
@@ -137,10 +140,12 @@ class Heights:
             tuple(moments(self.rows, 20)),
             "Of what robots saw, without the prior's guess. HRM: against the true height at each cell's centre; cells "
             "whose confidence is 2/16 or more, from which on a cell counts for coarser ones; a glimpse is one that is "
-            "less sure, of a beam or two from far away, often at the foot of a wall. GLRM: "
-            "cells that are a building's by half or more, against the mean of the true heights within. Robots on the "
-            "street see walls and eaves and hardly a roof, so a GLRM cell is the mean of a part of its ground. A "
-            "faultless HRM has the true height in each cell that was seen, and errs by this part alone.",
+            "less sure, of a beam or two from far away, often at the foot of a wall. With glimpses, 0.5 m is not kept. "
+            "Of what was seen neither falls with time, as new houses come in all the while; the global map with its "
+            "guesses does. GLRM: cells that are a building's by half or more, against the mean of the true heights "
+            "within. Robots on the street see walls and eaves and hardly a roof, so a GLRM cell is the mean of a part "
+            "of its ground; a faultless HRM, which has the true height in each cell that was seen, errs by this part "
+            f"alone, by 1.7 to 2.1 m. So {GLRM_RMSE_M:g} m is what the GLRM is to stay under.",
         )  # fmt: skip
 
 

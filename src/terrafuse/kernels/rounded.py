@@ -49,6 +49,17 @@ def set_sums(record, n, mean, below, above, mm2):
     record.sq_hi = (upper >> np.uint64(32)) + np.uint64(low_word < lower)
 
 
+@njit(inline="always")
+def set_none(record):
+    """No points at all."""
+    record.n = 0
+    record.z_sum = 0
+    record.z_min = 0
+    record.z_max = 0
+    record.sq_lo = 0
+    record.sq_hi = 0
+
+
 @njit(cache=True, nogil=True)
 def elevation_full(numbers, n_bits, variance_bits, cells, grounds):
     """numbers (12, K) → cells (K,) of zeros; grounds is the same memory as GROUND_OF_CELL."""
@@ -63,12 +74,15 @@ def elevation_full(numbers, n_bits, variance_bits, cells, grounds):
 
 
 @njit(cache=True, nogil=True)
-def elevation_lean(numbers, n_bits, cells):
-    """numbers (3, K) → cells (K,) of zeros."""
+def elevation_lean(numbers, n_bits, cells, grounds):
+    """numbers (3, K) → cells (K,), whatever they were; grounds is the same memory as GROUND_OF_CELL."""
     for k in range(cells.shape[0]):
         half = at_level(numbers[2, k], 0)
         set_sums(cells[k], at_level(numbers[0, k], n_bits), numbers[1, k] - half, half, half, CM2 * half * half)
         cells[k].merges = 1
+        cells[k].changes = cells[k].revision = 0
+        cells[k].stamp = 0
+        set_none(grounds[k])
 
 
 @njit(inline="always")

@@ -178,8 +178,8 @@ def lean_reference(numbers: Array) -> Array:
 
 
 def _lean_cells(numbers: Array) -> Array:
-    out = np.zeros(numbers.shape[1], CELL)
-    rounded.elevation_lean(numbers, LEAN_BITS, out)
+    out = np.empty(numbers.shape[1], CELL)
+    rounded.elevation_lean(numbers, LEAN_BITS, out, out.view(GROUND_OF_CELL))
     return out
 
 

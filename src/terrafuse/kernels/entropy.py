@@ -247,14 +247,16 @@ def _column_of(symbols, contexts, bits, at, sizes, firsts):
     at = _put(bits, at, mode, MODE_BITS)
     if mode != UNARY:
         at = _put_tables(bits, at, levels[:rows])
-    before = 0
+    lower, before = np.zeros((CONTEXTS, CLASSES), np.int64), 0
+    for c in range(1, CLASSES):
+        lower[:rows, c] = lower[:rows, c - 1] + shares[:rows, c - 1]
     for k in range(symbols.shape[0]):
         own = classes[k]
         if mode == UNARY:
             at = _put(bits, at, 1 << own, own + 1)
         else:
             row = min(before, rows - 1)
-            sizes[k], firsts[k] = shares[row, own], shares[row, :own].sum()
+            sizes[k], firsts[k] = shares[row, own], lower[row, own]
         if own > DIRECT:
             at = _put(bits, at, symbols[k] - 1 - (1 << (own - DIRECT)), own - DIRECT)
         before = own

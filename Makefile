@@ -50,6 +50,7 @@ format: setup
 
 bench: setup
 	$(BIN)/python -m bench
+	$(BIN)/python -m bench.capacity --robots 250 --seconds 10 --patience 10
 	$(BIN)/python -m bench.exchange
 	$(BIN)/python -m bench.mission
 	$(BIN)/python -m bench.patrol

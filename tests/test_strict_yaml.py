@@ -133,10 +133,15 @@ def test_files(tmp_path: Path) -> None:
     path.write_text("a: 1\na: 1\n")
     with pytest.raises(InputError, match=f"{path}:2: 'a' is given twice"):
         load(path)
-    path.write_bytes(b"\xff\xfe\x00")
+    path.write_bytes(b"a: 1\nb: caf\xe9\n")
+    with pytest.raises(InputError, match=rf"{path}:2: can't be read as text \(byte 0xe9\); save it as UTF-8"):
+        load(path)
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    for odd in (path, tmp_path, tmp_path / "none.yaml", "a" * 5000, "a\0b", pipe):
+    for odd in (tmp_path, tmp_path / "none.yaml", pipe):
+        with pytest.raises(InputError, match=r"can't be read as text: .* file; give a YAML file"):
+            load(odd)
+    for odd in ("a" * 5000, "a\0b"):
         with pytest.raises(InputError, match="can't be read as text"):
             load(odd)
 

@@ -62,10 +62,14 @@ def load(path: Path | str) -> Document:
     file = Path(path)
     try:
         if not file.is_file():
-            raise InputError(f"{shown(str(path))}: can't be read as text: there is no such file; give a YAML file")
+            why = "it is no regular file" if file.exists() else "there is no such file"
+            raise InputError(f"{shown(str(path))}: can't be read as text: {why}; give a YAML file")
         with file.open("rb") as opened:
             content = opened.read(MAX_BYTES + 1)
         text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line, byte = content[: error.start].count(b"\n") + 1, content[error.start]
+        raise InputError(f"{path}:{line}: can't be read as text (byte 0x{byte:02x}); save it as UTF-8") from error
     except (OSError, ValueError) as error:
         raise InputError(f"{shown(str(path))}: can't be read as text ({error}); give a YAML file") from error
     return parse(text, str(path))

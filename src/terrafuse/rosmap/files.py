@@ -37,7 +37,7 @@ def _description(file: Path) -> Document:
     try:
         about = strict_yaml.load(file)
     except InputError as error:
-        raise InputError(f"{error}; give the .yaml of a ROS map") from error
+        raise InputError(f"{str(error).removesuffix('; give a YAML file')}; give the .yaml of a ROS map") from error
     if not isinstance(about.value, dict):
         raise InputError(f"{file}: holds no 'key: value' lines; give the .yaml of a ROS map")
     for key in REQUIRED:

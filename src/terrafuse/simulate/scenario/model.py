@@ -1,36 +1,57 @@
 """What a scenario says: the place, the map, the robots, the radio. Frozen, and checked piece by piece.
 
-`read.py` makes these of YAML; what only the world can tell (a robot in a wall) is checked in `check.py`.
+`read.py` makes these of YAML. What several parts say together is checked in mission/check.py, what only the world
+can tell (a robot in a wall) where the mission is set up.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from terrafuse.simulate.quantities import (
+    Coordinate,
+    Count,
+    Delay,
+    Error,
+    Flag,
+    Height,
+    Length,
+    Number,
+    Period,
+    Place,
+    Rate,
+    Resolution,
+    Seed,
+    Share,
+)
+
+WRONG = "wrong_together"
 
 
-def _number(value: Any) -> Any:
-    """`true` and "5" are no numbers."""
-    if isinstance(value, bool | str):
-        raise ValueError("give a number")
+def _described(value: Any) -> Any:
+    if not isinstance(value, str | dict):
+        raise ValueError("give a preset's name, a YAML file, or the keys of a description")
     return value
 
 
-Number = Annotated[float, BeforeValidator(_number)]
-Count = Annotated[int, BeforeValidator(_number)]
-Positive = Annotated[Number, Field(gt=0)]
-NotNegative = Annotated[Number, Field(ge=0)]
-Share = Annotated[Number, Field(ge=0, le=1)]
-Place = tuple[Number, Number]
-"""East and north, metres."""
+Start = tuple[Coordinate, Coordinate, Annotated[Number, Field(ge=-360, le=360)]]
+"""East and north, metres; yaw, degrees."""
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,39}$")]
+Description = Annotated[Any, AfterValidator(_described)]
 
 
 class Part(BaseModel):
     """A part of a scenario: no unknown keys, no infinities."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def wrong(key: str, message: str) -> PydanticCustomError:
+    """To raise in a validator of a whole part: the fault of one of its keys."""
+    return PydanticCustomError(WRONG, "{message}", {"key": key, "message": message})
 
 
 class WorldPart(Part):
@@ -47,12 +68,12 @@ class MapPart(Part):
     model: str = "elevation"
     settings: dict[str, Any] = Field(default_factory=dict)
     """Of the model."""
-    resolution_m: Positive = 0.1
-    tile_m: Positive | None = None
+    resolution_m: Resolution = 0.1
+    tile_m: Length | None = None
     window: str = "tiles3x3"
-    global_factor: Annotated[Count, Field(ge=1)] = 1
+    global_factor: Annotated[Count, Field(ge=1, le=4096)] = 1
     """Cells along the side of a cell of the global map, which robots and station exchange."""
-    prior_building_height_m: Positive | None = None
+    prior_building_height_m: Annotated[Number, Field(gt=0, le=1000)] | None = None
     """Before the mission, this is known of every building."""
 
 
@@ -60,9 +81,9 @@ class SensorPart(Part):
     """A sensor on the robot."""
 
     kind: Literal["lidar", "sonar"]
-    description: str | dict[str, Any]
+    description: Description
     """A preset's name, a YAML file beside the scenario, or the description itself."""
-    rate_hz: Positive | None = None
+    rate_hz: Rate | None = None
     """None: sonars that fire in turn do so at their own pace; all else once a tick."""
     dropout: Share = 0.0
     """Of a lidar's beams."""
@@ -77,14 +98,14 @@ class SensorPart(Part):
 class OdometryPart(Part):
     """Standard deviations of what odometry gets wrong; see docs/navigation.md."""
 
-    forward_m: NotNegative = 0.02
-    up_m: NotNegative = 0.01
-    turn_rad: NotNegative = 0.005
+    forward_m: Error = 0.02
+    up_m: Error = 0.01
+    turn_rad: Error = 0.005
     """After a metre."""
-    turn_share: NotNegative = 0.02
+    turn_share: Error = 0.02
     """After turning 1 rad."""
-    scale: NotNegative = 0.01
-    bias_rad_per_m: NotNegative = 0.0005
+    scale: Error = 0.01
+    bias_rad_per_m: Error = 0.0005
 
 
 class PosePart(Part):
@@ -92,9 +113,9 @@ class PosePart(Part):
 
     kind: Literal["true", "odometry", "filtered"] = "true"
     """The truth; odometry from a true start; odometry and GNSS in a filter."""
-    gnss_hz: Positive = 5.0
+    gnss_hz: Rate = 5.0
     odometry: OdometryPart = OdometryPart()
-    tilt_sigma_rad: NotNegative = 0.002
+    tilt_sigma_rad: Error = 0.002
     """Of roll and pitch, which an inclinometer measures."""
 
 
@@ -114,47 +135,63 @@ class RobotsPart(Part):
     """They are called so, with a number from 1 on."""
     body: str = "summit_xl"
     motion: Literal["kinematic", "physics"] = "kinematic"
-    places: tuple[tuple[Number, Number, Number], ...] = ()
-    """x, y (metres), yaw (degrees) of the first robots; the others start on the streets nearest to the station."""
-    spread: bool = False
+    places: tuple[Start, ...] = ()
+    """Of the first robots; the others start on the streets nearest to the station, or on free ground."""
+    spread: Flag = False
     """These start all over the streets instead."""
     sensors: Annotated[tuple[SensorPart, ...], Field(min_length=1)]
     pose: PosePart = PosePart()
     behaviour: BehaviourPart
-    altitude_m: NotNegative = 0.0
+    altitude_m: Height = 0.0
     """Above ground, of what flies."""
+
+    @model_validator(mode="after")
+    def _has_robots_for_its_places(self) -> Self:
+        if len(self.places) > self.count:
+            raise wrong("places", f"{len(self.places)} places for {self.count} robots; give one a robot, or fewer")
+        return self
 
 
 class CutPart(Part):
-    from_s: NotNegative
-    to_s: Positive
+    from_s: Delay
+    to_s: Delay
     node: str | None = None
     """None: everybody."""
     other: str | None = None
 
+    @model_validator(mode="after")
+    def _lasts(self) -> Self:
+        if self.to_s <= self.from_s:
+            raise wrong("to_s", f"a cut from {self.from_s:g} to {self.to_s:g} s; give a to_s beyond from_s")
+        return self
+
+
+LEAST_FRAME = 76
+"""Bytes: the exchange needs 64 beside the 12 of a frame's header."""
+
 
 class RadioPart(Part):
-    range_m: Positive = 150.0
+    range_m: Length = 150.0
     behind_walls: Share = 0.3
     """Share of the range that is left out of sight."""
     loss: Share = 0.0
-    latency_s: NotNegative = 0.002
-    jitter_s: NotNegative = 0.0
-    bytes_per_s: Positive = 250_000.0
-    frame_bytes: Annotated[Count, Field(ge=64, le=65_000)] = 2312
+    latency_s: Delay = 0.002
+    jitter_s: Delay = 0.0
+    bytes_per_s: Annotated[Number, Field(ge=1, le=1e12)] = 250_000.0
+    frame_bytes: Annotated[Count, Field(ge=LEAST_FRAME, le=65_000)] = 2312
     cuts: tuple[CutPart, ...] = ()
     share: Literal["all", "station"] = "all"
     """Who holds the global map: every robot, or the station alone."""
-    report_s: Positive = 2.0
+    report_s: Period = 2.0
     """Time between a robot's reports of what changed in its map."""
-    place_s: Positive | None = None
+    place_s: Period | None = None
     """And of where it is; None: it does not say."""
 
 
 class StationPart(Part):
     place: Place | None = None
     """None: at the street corner nearest to the middle of the world."""
-    height_m: NotNegative = 4.0
+    height_m: Height = 4.0
     """Of its antenna."""
 
 
@@ -167,12 +204,18 @@ class Scenario(Part):
     robots: Annotated[tuple[RobotsPart, ...], Field(min_length=1)]
     station: StationPart = StationPart()
     radio: RadioPart = RadioPart()
-    duration_s: Positive
+    duration_s: Annotated[Number, Field(ge=0.01, le=1e6)]
     tick_s: Annotated[Number, Field(ge=0.01, le=1)] = 0.1
-    seed: Annotated[Count, Field(ge=0)] = 0
+    seed: Seed = 0
     study: str = "map"
     """What is made of it beyond the map: a name of `STUDIES`."""
     stop_mapped_share: Share | None = None
     """End when so much of the streets is on the global map."""
-    frame_s: Positive = 5.0
+    frame_s: Period = 5.0
     """Simulated seconds between the animation's frames."""
+
+    @model_validator(mode="after")
+    def _lasts_a_tick(self) -> Self:
+        if self.duration_s < self.tick_s:
+            raise wrong("duration_s", f"{self.duration_s:g} s are less than a tick; give {self.tick_s:g} or more")
+        return self

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ValidationError, create_model
 
 from terrafuse import strict_yaml
-from terrafuse.errors import InputError, TerrafuseError, shown
-from terrafuse.simulate.scenario.model import RobotsPart, Scenario, WorldPart
+from terrafuse.errors import InputError, MissingExtra, TerrafuseError, shown
+from terrafuse.simulate.scenario.faults import first_fault, place_of, told
+from terrafuse.simulate.scenario.model import Part, RobotsPart, Scenario, WorldPart
 from terrafuse.simulate.world import World
 from terrafuse.simulate.worlds import WORLDS
 from terrafuse.strict_yaml import Document
 
 SUFFIX = ".yaml"
 AnyPart = TypeVar("AnyPart", bound=BaseModel)
+SAID_ALREADY = (MissingExtra,)
+"""Errors that are no fault of the scenario's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,32 +39,56 @@ class Loaded:
     def error(self, path: Sequence[Any], message: str) -> InputError:
         return self.document.error(path, message)
 
+    @contextmanager
+    def at(self, *path: Any) -> Iterator[None]:
+        """What can't be done in the block with what the scenario has at this path is an error that names its line:
+        the one of `error` itself, if that names one."""
+        try:
+            yield
+        except SAID_ALREADY:
+            raise
+        except MemoryError as error:
+            raise self.error(path, "takes more memory than there is; give a smaller world or larger cells") from error
+        except (TerrafuseError, ValueError, TypeError, ArithmeticError) as error:
+            if isinstance(error, InputError) and str(error).startswith(f"{self.document.where}:"):
+                raise
+            raise self.error(path, str(error)) from error
+
+    def beside(self, file: str) -> Path:
+        """A file that the scenario names: beside its own, unless the path is a whole one."""
+        return self.folder / file
+
     @cached_property
     def world(self) -> World:
         """The place. Raises InputError with the line."""
-        part = self.scenario.world
-        generator = WORLDS.get(part.kind)
-        if generator is None:
-            raise self.error(("world", "kind"), f"world '{part.kind}'; there are {', '.join(WORLDS)}")
-        arguments = dict(part.model_extra or {})
-        takes = arguments_of(generator)
-        for key in arguments:
-            if key not in takes:
-                raise self.error(("world", key), _unknown(key, ["kind", *takes]))
-        if "file" in arguments:
-            arguments["file"] = str(self.folder / str(arguments["file"]))
-        if "seed" in takes:
-            arguments.setdefault("seed", self.scenario.seed)
-        try:
-            return generator(**arguments)
-        except TypeError as error:
-            raise self.error(("world",), f"world {part.kind} of {arguments}: {error}") from error
-        except TerrafuseError as error:
-            raise self.error(("world",), str(error)) from error
+        kind = self.scenario.world.kind
+        if kind not in WORLDS:
+            raise self.error(("world", "kind"), f"world '{kind}'; there are {', '.join(WORLDS)}")
+        plain = {"kind": kind} | (self.scenario.world.model_extra or {})
+        part = valid(self.document, arguments_of(kind), plain, ("world",))
+        given = {name: getattr(part, name) for name in part.model_fields_set if name != "kind"}
+        if "seed" in type(part).model_fields:
+            given.setdefault("seed", self.scenario.seed)
+        if "file" in given:
+            given["file"] = self._world_file(given["file"])
+        with self.at("world"):
+            return WORLDS[kind](**given)
+
+    def _world_file(self, name: str) -> str:
+        file = self.beside(name)
+        if not file.is_file():
+            raise self.error(("world", "file"), f"{file}: there is no such file; give its path from {self.folder}")
+        return str(file)
 
 
-def arguments_of(function: Callable[..., Any]) -> list[str]:
-    return list(inspect.signature(function).parameters)
+@cache
+def arguments_of(kind: str) -> type[Part]:
+    """What a world's generator takes, as a part of a scenario."""
+    parameters = inspect.signature(WORLDS[kind], eval_str=True).parameters.values()
+    fields: dict[str, Any] = {
+        one.name: (one.annotation, ... if one.default is one.empty else one.default) for one in parameters
+    }
+    return create_model(f"{kind}_world", __base__=Part, kind=(str, ...), **fields)
 
 
 def scenario_names() -> list[str]:
@@ -78,7 +105,8 @@ def load_scenario(given: str | Path) -> Loaded:
     path = Path(given)
     if not path.is_file():
         raise InputError(
-            f"scenario '{given}': neither a file nor one of {', '.join(scenario_names())}; give a YAML file or a name"
+            f"scenario '{shown(str(given))}': neither a file nor one of {', '.join(scenario_names())}; "
+            "give a YAML file or a name"
         )
     document = strict_yaml.load(path)
     return Loaded(path.stem, checked(document, Scenario), document, path.parent)
@@ -95,7 +123,7 @@ def with_robots(loaded: Loaded, count: int) -> Loaded:
     first, *others = loaded.scenario.robots
     if not 1 <= count <= 1000:
         raise InputError(f"{count} robots: give 1 to 1000")
-    robots = (first.model_copy(update={"count": count}), *others)
+    robots = (first.model_copy(update={"count": count, "places": first.places[:count]}), *others)
     return replace(loaded, scenario=loaded.scenario.model_copy(update={"robots": robots}))
 
 
@@ -106,8 +134,7 @@ def changed(loaded: Loaded, **values: Any) -> Loaded:
     try:
         return replace(loaded, scenario=Scenario(**plain))
     except ValidationError as error:
-        first: Any = error.errors()[0]
-        raise InputError(f"{first['loc'][0]} = {first['input']!r}: {_lower(first['msg'])}") from error
+        raise InputError(told(first_fault(error), Scenario)) from error
 
 
 def checked(
@@ -119,52 +146,16 @@ def checked(
         value = value[step]
     if not isinstance(value, Mapping):
         raise document.error(path, f"holds no keys; give {', '.join(kind.model_fields)}; see docs/scenarios.md")
+    return valid(document, kind, {key: item for key, item in value.items() if key not in leaving_out}, path)
+
+
+def valid(document: Document, kind: type[AnyPart], value: Mapping[Any, Any], path: Sequence[Any]) -> AnyPart:
+    """The model of a value that the document has at this path. Raises InputError likewise."""
     try:
-        return kind.model_validate({key: item for key, item in value.items() if key not in leaving_out})
+        return kind.model_validate(value)
     except ValidationError as error:
-        first = _first(error)
-        raise document.error((*path, *first["loc"]), _complaint(first, kind)) from error
-
-
-def _first(error: ValidationError) -> Any:
-    """The fault to tell: an unknown key before one that is missing, which it may have been meant for."""
-    faults = error.errors()
-    return next((fault for fault in faults if fault["type"] == "extra_forbidden"), faults[0])
-
-
-def _complaint(first: Mapping[str, Any], kind: type[BaseModel]) -> str:
-    key = str(first["loc"][-1]) if first["loc"] else ""
-    where = ".".join(map(str, first["loc"]))
-    if first["type"] == "extra_forbidden":
-        return _unknown(key, list(_fields(kind, first["loc"][:-1])))
-    if first["type"] == "missing":
-        return f"'{where}' is missing; give it"
-    return f"{where} = {shown(first['input'])}: {_lower(first['msg'])}"
-
-
-def _unknown(key: str, known: Sequence[str]) -> str:
-    near = difflib.get_close_matches(key, known, 1)
-    hint = f"did you mean '{near[0]}'? " if near else ""
-    return f"there is no key '{key}' here; {hint}known are {', '.join(known)}"
-
-
-def _fields(kind: Any, path: Sequence[Any]) -> list[str]:
-    """The keys of the part at a path."""
-    for step in path:
-        if isinstance(step, str):
-            kind = _inner(kind.model_fields[step].annotation)
-    return list(kind.model_fields)
-
-
-def _inner(annotation: Any) -> Any:
-    """The model in Annotated[tuple[Model, ...], …] and the like."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    return next(found for part in getattr(annotation, "__args__", ()) if (found := _inner(part)) is not None)
-
-
-def _lower(message: str) -> str:
-    return message[:1].lower() + message[1:]
+        first = first_fault(error)
+        raise document.error((*path, *place_of(first)), told(first, kind)) from error
 
 
 __all__ = ["Loaded", "RobotsPart", "WorldPart", "arguments_of", "changed", "checked", "load_scenario", "with_robots"]

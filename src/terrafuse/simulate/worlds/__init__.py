@@ -22,7 +22,7 @@ WORLDS: dict[str, Callable[..., World]] = {
     "ros_map": ros_map_world,
     "image": image_world,
 }
-"""Generators by name; what each takes is in its own arguments."""
+"""Generators by name; what each takes, and within which limits, is in the annotations of its own arguments."""
 
 __all__ = [
     "WORLDS", "city", "dem_world", "hallway", "image_world", "parking", "ros_map_world", "soccer_field", "village",

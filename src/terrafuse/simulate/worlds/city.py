@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from terrafuse.simulate.noise import Octave
+from terrafuse.simulate.quantities import Seed
 from terrafuse.simulate.streets import graded
 from terrafuse.simulate.terrain import rolling
 from terrafuse.simulate.world import World
-from terrafuse.simulate.worlds.net import Net, Plot, line_streets, square, street_net
+from terrafuse.simulate.worlds.net import Net, Plot, Side, line_streets, square, street_net
 
 NET = Net(spacing_m=100.0, jitter_m=4.0, dropped=0.05, width_m=14.0)
 PLOT = Plot(
@@ -23,7 +24,7 @@ HILLS = (Octave(500.0, 2.0),)
 STEP_M = 4.0
 
 
-def city(seed: int = 0, side_m: float = 800.0) -> World:
+def city(seed: Seed = 0, side_m: Side = 800.0) -> World:
     """A square city around the origin; nothing moves. Raises InputError for less than 50 m."""
     bounds = square(side_m)
     streets = street_net(bounds, NET, np.random.default_rng([seed, 0]))

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from terrafuse.errors import InputError
 from terrafuse.rosmap import RosMap, read_map
@@ -13,26 +15,28 @@ from terrafuse.rosmap.files import read_image
 from terrafuse.rosmap.meaning import Meaning
 from terrafuse.rosmap.types import Placement
 from terrafuse.simulate.blocks import Block
+from terrafuse.simulate.quantities import File, Number, Resolution
 from terrafuse.simulate.terrain import flat, terrain_of
 from terrafuse.simulate.world import World
 from terrafuse.types import Array, Bounds
 
+WallHeight = Annotated[Number, Field(gt=0, le=1000)]
 BELOW_M = 0.5
 MARGIN_M = 1.0
 
 
-def dem_world(file: Path | str, bounds: Bounds | None = None, band: str | None = None) -> World:
+def dem_world(file: File, bounds: Bounds | None = None, band: str | None = None) -> World:
     """Bare ground of a DEM, in its CRS; add houses and the rest with `dataclasses.replace`. Raises InputError."""
     terrain, crs = terrain_of(file, bounds, band)
     return World(Path(file).stem, bounds or terrain.bounds, terrain, crs=crs)
 
 
-def ros_map_world(file: Path | str, height_m: float = 2.5) -> World:
+def ros_map_world(file: File, height_m: WallHeight = 2.5) -> World:
     """Walls of this height where a ROS map says occupied; unknown is as free. Raises InputError."""
     return _indoor(Path(file).stem, read_map(file), height_m)
 
 
-def image_world(file: Path | str, resolution_m: float, height_m: float = 2.5) -> World:
+def image_world(file: File, resolution_m: Resolution, height_m: WallHeight = 2.5) -> World:
     """The same from an image, black walls on white; its lower-left corner is the origin. Raises InputError."""
     if not Path(file).is_file():
         raise InputError(f"{file}: no such file; give an image")

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from terrafuse.errors import InputError
 from terrafuse.simulate.blocks import Block, corners_of, overlap
 from terrafuse.simulate.houses import House, Wall
+from terrafuse.simulate.quantities import Number
 from terrafuse.simulate.regions import Region
 from terrafuse.simulate.streets import Streets, reached
 from terrafuse.types import Bounds, Floats
@@ -38,6 +40,10 @@ class Plot(NamedTuple):
     gap_m: tuple[float, float]
     turn_rad: float
     shapes: dict[str, tuple[float, tuple[float, float]]]
+
+
+Side = Annotated[Number, Field(ge=50, le=5000)]
+"""Of a square world: as much as is made within minutes."""
 
 
 def square(side_m: float) -> Bounds:

@@ -12,6 +12,7 @@ from terrafuse.simulate.blocks import Block
 from terrafuse.simulate.houses import House, Wall, standing
 from terrafuse.simulate.movers import Mover, drive
 from terrafuse.simulate.noise import Octave
+from terrafuse.simulate.quantities import Seed
 from terrafuse.simulate.streets import Streets
 from terrafuse.simulate.terrain import rolling
 from terrafuse.simulate.world import World
@@ -41,7 +42,7 @@ class Bay(NamedTuple):
     """North of the lane that it lies on."""
 
 
-def parking(seed: int = 0) -> World:
+def parking(seed: Seed = 0) -> World:
     """80 m × 60 m around the origin. In `furniture` stand the cars that stay; those that come and go are movers."""
     rng = np.random.default_rng([seed, 0])
     terrain = rolling(BOUNDS, 2.0, (Octave(120.0, 0.25),), seed)

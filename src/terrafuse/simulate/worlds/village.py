@@ -10,6 +10,7 @@ from terrafuse.simulate.blocks import Block
 from terrafuse.simulate.houses import Wall, standing
 from terrafuse.simulate.movers import Mover, drive
 from terrafuse.simulate.noise import Octave
+from terrafuse.simulate.quantities import Seed
 from terrafuse.simulate.regions import StaticLayer
 from terrafuse.simulate.streets import Streets, graded
 from terrafuse.simulate.terrain import Terrain, rolling
@@ -18,6 +19,7 @@ from terrafuse.simulate.worlds.net import (
     EDGE_FREE_M,
     Net,
     Plot,
+    Side,
     Sited,
     beside,
     garden_wall,
@@ -54,7 +56,7 @@ LEVEL_M, BLEND_M = 7.0, 9.0
 CARS_PER_KM2, PEOPLE_PER_KM2 = 14, 24
 
 
-def village(seed: int = 0, side_m: float = 1000.0) -> World:
+def village(seed: Seed = 0, side_m: Side = 1000.0) -> World:
     """A square village around the origin; the same of one seed in every byte. Every house stands at a street, every
     street leads to every other. Raises InputError for less than 50 m."""
     bounds = square(side_m)

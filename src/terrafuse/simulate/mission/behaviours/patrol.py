@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -20,8 +20,9 @@ from terrafuse.navigate.plan import path_between
 from terrafuse.simulate.mission.fleet import Drive
 from terrafuse.simulate.mission.situation import Situation
 from terrafuse.simulate.motion import Body
+from terrafuse.simulate.quantities import Delay, Flag, Length, Number, Period, Place, Speed
 from terrafuse.simulate.routes import Progress, Routes, at_start, pursue, routes_of
-from terrafuse.simulate.scenario.model import NotNegative, Part, Place, Positive
+from terrafuse.simulate.scenario.model import Part
 from terrafuse.types import Bounds
 
 ROUTE = "route"
@@ -42,18 +43,18 @@ BESIDE_M = 0.1
 
 
 class PatrolSettings(Part):
-    speed_mps: Positive = 3.0
+    speed_mps: Speed = 3.0
     waypoints_m: tuple[Place, ...] = ()
     """Its route; without any, the one that the station allots."""
-    arrive_m: Positive = 2.0
+    arrive_m: Length = 2.0
     """A waypoint counts as reached this near."""
-    check_s: Positive = 1.0
-    patience_s: NotNegative = Field(4.0)
+    check_s: Period = 1.0
+    patience_s: Delay = 4.0
     """How long it waits for what stands in its way before it looks for another."""
-    radius_m: Positive | None = None
+    radius_m: Annotated[Number, Field(gt=0, le=5)] | None = None
     """What it plans with; None: its body's."""
-    occupied_from: Positive = 0.65
-    planned: bool = True
+    occupied_from: Annotated[Number, Field(gt=0, le=1)] = 0.65
+    planned: Flag = True
     """Whether it looks for a way over its map from waypoint to waypoint, or goes straight, as a fleet of many may."""
 
 

@@ -19,7 +19,8 @@ from pydantic import Field
 from terrafuse.simulate.mission.behaviours.avoidance import Echoes, drive_towards, nearest_free_rad, wrapped
 from terrafuse.simulate.mission.fleet import Drive
 from terrafuse.simulate.mission.situation import Situation
-from terrafuse.simulate.scenario.model import Count, NotNegative, Part, Place, Positive
+from terrafuse.simulate.quantities import Delay, Number, Place, Seed, Speed
+from terrafuse.simulate.scenario.model import Part
 
 ROLES = ("keeper", "supporter", "striker")
 """Of the first robot of a team, the second, the third; then from the first again."""
@@ -29,16 +30,19 @@ THERE_M = 0.15
 BACK_MPS, BACK_S = -0.3, 0.5
 
 
+Side = Annotated[Number, Field(ge=4 * NEAR_BOARD_M, le=1000)]
+
+
 class SoccerSettings(Part):
     defends: Literal["south", "north"] = "south"
     """The goal that is the team's own."""
-    speed_mps: Positive = 0.8
-    field_m: tuple[Positive, Positive] = (6.0, 9.0)
+    speed_mps: Speed = 0.8
+    field_m: tuple[Side, Side] = (6.0, 9.0)
     """East and north, from the origin."""
-    ball_mps: Positive = 0.6
-    ball_seed: Annotated[Count, Field(ge=0)] = 0
+    ball_mps: Speed = 0.6
+    ball_seed: Seed = 0
     """The same for all robots of a game."""
-    memory_s: NotNegative = 0.5
+    memory_s: Delay = 0.5
     """How long a robot remembers what its readings met: others move."""
 
 

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from terrafuse.simulate.mission.behaviours.avoidance import (
     NARROW_M,
@@ -25,7 +26,8 @@ from terrafuse.simulate.mission.behaviours.avoidance import (
 )
 from terrafuse.simulate.mission.fleet import Drive
 from terrafuse.simulate.mission.situation import Situation
-from terrafuse.simulate.scenario.model import NotNegative, Part, Place, Positive, Share
+from terrafuse.simulate.quantities import Delay, Number, Period, Place, Share, Speed
+from terrafuse.simulate.scenario.model import Part
 from terrafuse.types import Bounds, Floats
 
 BACK_MPS, BACK_S = -0.2, 0.8
@@ -45,13 +47,16 @@ PUSH_RAD = math.radians(30)
 SIDES_RAD = np.array([math.pi / 2, -math.pi / 2])
 
 
+Turn = Annotated[Number, Field(gt=0, le=360)]
+
+
 class WanderSettings(Part):
-    speed_mps: Positive = 0.4
-    whim_s: Positive = 20.0
+    speed_mps: Speed = 0.4
+    whim_s: Period = 20.0
     """How long it keeps a heading, on average."""
-    most_turn_deg: Positive = 150.0
+    most_turn_deg: Turn = 150.0
     """A new heading is at most this far from where it looks."""
-    give_up_deg: Positive = 100.0
+    give_up_deg: Turn = 100.0
     """It drops a whim that would take it further off than this: a corner, a dead end."""
     curiosity: Share = 0.9
     """The chance that it goes into an opening beside it, if the shared map is mostly blank there,"""
@@ -59,7 +64,7 @@ class WanderSettings(Part):
     """and if it is not."""
     follow: Share = 0.75
     """The chance that it goes on along the next wall, where it drops a whim in a corner."""
-    memory_s: NotNegative = 3.0
+    memory_s: Delay = 3.0
     """How long it remembers what its readings met."""
 
 

@@ -138,7 +138,8 @@ BOUNDS: dict[tuple[str, str], Sequence[Bound]] = {
         ("height", always(CM)), ("gradient_x", always(0.005 + 1e-6)), ("gradient_y", always(0.005 + 1e-6)),
         ("gradient_error", share(1 / 16, 2**-17)), ("occupation", always(0.005 + 1e-6)),
         # Half a step of 255/4096, and the share of it that rounding to a level adds.
-        ("confidence", share(1 / 32, (1 + 1 / 32) * 255 * 2**-13)), ("gps_quality", always(0)), ("communications", always(0)),
+        ("confidence", share(1 / 32, (1 + 1 / 32) * 255 * 2**-13)), ("gps_quality", always(0)),
+        ("communications", always(0)),
     ],
     ("terrain", "lean"): [
         ("height", always(CM)), ("confidence", share(1 / 5, (1 + 1 / 5) * 255 * 2**-13)), ("gps_quality", always(0)),

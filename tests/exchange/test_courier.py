@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from terrafuse.errors import InputError
+from terrafuse.exchange import courier as courier_
 from terrafuse.exchange.codec import encode
 from terrafuse.exchange.courier import Channel, Courier, CourierSettings
 from terrafuse.exchange.delta import Delta
@@ -420,3 +421,24 @@ def test_who_can_not_take_part() -> None:
         Courier(hub.link("fleet/r3"))
     with pytest.raises(InputError, match="needs 64 at least"):
         Courier(MemoryHub(63).link("r1"))
+
+
+def test_who_was_silent_for_long_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who looks at a station has another name each time."""
+    monkeypatch.setattr(courier_, "MOST_PEERS", 3)
+    hub = MemoryHub()
+    station, now_ns = Courier(hub.link("station")), 0
+    for k in range(6):
+        looker = Courier(hub.link(f"ops-{k}"), peers=["station"])
+        for _ in range(20):
+            now_ns += 100_000_000
+            station.tick(now_ns)
+            looker.tick(now_ns)
+        assert (f"ops-{k}" in station.reached(now_ns)) == (k < 3)
+    now_ns += 601 * 1_000_000_000
+    station.tick(now_ns)
+    for _ in range(20):
+        now_ns += 100_000_000
+        station.tick(now_ns)
+        looker.tick(now_ns)
+    assert "ops-5" in station.reached(now_ns)

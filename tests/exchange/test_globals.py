@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from terrafuse.exchange import globals as globals_
+from terrafuse.exchange.area import tiles_in
 from terrafuse.exchange.courier import Channel, Courier, CourierSettings
 from terrafuse.exchange.globals import GlobalMap
 from terrafuse.exchange.links import Faults, MemoryHub, MisbehavingLink
@@ -15,6 +17,7 @@ from terrafuse.lattice import Lattice
 from terrafuse.mapper import Mapper
 from terrafuse.models import make_model
 from terrafuse.replica import Replica
+from terrafuse.store.memory import MemoryStore
 from terrafuse.testing.deltas import random_scans, scan_of
 from terrafuse.types import Bounds, Scan, TileKey
 
@@ -176,3 +179,48 @@ def test_the_fold_says_which_cells_changed() -> None:
     other = Replica(LATTICE, MODEL)
     other.apply(folded.delta(0))
     np.testing.assert_array_equal(other.cells(tile.key), whole.cells(tile.key))
+
+
+def test_an_area_that_is_refused_is_of_no_interest() -> None:
+    hub, asked = MemoryHub(), []
+
+    def grant(peer: str, area: Bounds) -> bool:
+        asked.append((peer, area))
+        return tiles_in(area, LATTICE.tile_m) <= 4
+
+    store = MemoryStore(LATTICE, MODEL)
+    station = Courier(hub.link("station"), [Channel("fine", store)], grant=grant, settings=QUICK)
+    robot = Courier(hub.link("r1"), peers=["station"], settings=QUICK)
+    small = Bounds(-1.0, -1.0, 1.0, 1.0)
+    for k, area in enumerate((small, Bounds(-5.0, -1.0, 5.0, 1.0), None, Bounds(0.0, 0.0, np.inf, 1.0))):
+        robot.area = area
+        for step in range(20):
+            robot.tick((20 * k + step) * STEP_NS)
+            station.tick((20 * k + step) * STEP_NS)
+        assert station.areas == ([small] if k == 0 else [])
+    assert len(asked) == 3
+    assert station.counts["refused.area"] == 2
+
+
+def test_tiles_that_meet_an_area() -> None:
+    """Of 4 m: from -1 to 1 two, to 4 still two, and three to 4.1."""
+    assert tiles_in(Bounds(-1.0, 0.0, 4.0, 4.0), 4.0) == 2
+    assert tiles_in(Bounds(-1.0, 0.0, 4.1, 4.1), 4.0) == 6
+
+
+def test_what_nobody_is_interested_in_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And told again to who is."""
+    monkeypatch.setattr(globals_, "MOST_TILES", 2)
+    fleet = Fleet()
+    fleet.join("r1", HERE)
+    for scan in random_scans(3, 2, 20.0, 300):
+        fleet.mappers["r1"].integrate(scan)
+    fleet.run(20)
+    assert len(fleet.folded._tiles) == 4
+    there = Bounds(4.0, -4.0, 8.0, 4.0)
+    fleet.robots["r1"].area = there
+    fleet.run(20)
+    assert sorted(fleet.folded._tiles) == [TileKey(1, -1), TileKey(1, 0)]
+    fleet.join("r2", HERE)
+    fleet.run(30)
+    assert fleet.level("r2")

@@ -15,6 +15,8 @@ from tests.test_docs import ROOT
 
 TEXT = (ROOT / "docs" / "services.md").read_text()
 COMMANDS = [shlex.split(line) for line in re.findall(r"^    terrafuse (.*)$", TEXT, re.MULTILINE)]
+ALONE = ["station", "station", "robot", "robot"]
+"""Other fleets, which tests of their own run."""
 (FLEET,) = re.findall(r"```yaml\n(.*?)```", TEXT, re.DOTALL)
 
 
@@ -45,6 +47,7 @@ def test_its_commands(folder: Path) -> None:
         "get",
         "get",
         "correct",
+        *ALONE,
         *["fleet"] * 3,
     ]
     station, *robots = COMMANDS[:3]

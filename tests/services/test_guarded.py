@@ -28,7 +28,7 @@ from terrafuse.services.settings import FleetSettings, QuotasPart
 from terrafuse.store.memory import MemoryStore
 from terrafuse.store.sqlite import SqliteStore
 from terrafuse.testing.deltas import deltas_of, random_scans
-from terrafuse.types import Pose, Scan, TileKey
+from terrafuse.types import Bounds, Pose, Scan, TileKey
 from tests.services.test_one_process import digest, finished, mapped_at_once, nodes_of, settings_of
 
 LATTICE, MODEL = Lattice(0.2, 40.0), make_model("elevation")
@@ -86,6 +86,15 @@ def test_tiles_may_be_as_far_as_the_quota_from_where_a_robot_says_it_was() -> No
     assert gate.hear("r1", places.TRACK, encode(Told(20.0, [0, 0, 980, 0])), now)
     assert guard("r1", far, now, 1000) is None
     assert not gate.hear("r1", "else", b"", now)
+
+
+def test_areas_of_interest_have_quotas() -> None:
+    """Tiles of 40 m: 80 m by 40 m are two."""
+    gate = Gate([MemoryStore(LATTICE, MODEL)], QuotasPart(area_tiles=2, all_area_tiles=3), None)
+    small, two = Bounds(1.0, 1.0, 2.0, 2.0), Bounds(0.0, 0.0, 80.0, 40.0)
+    assert gate.grant("r1", two)
+    assert not gate.grant("r1", Bounds(0.0, 0.0, 81.0, 40.0))
+    assert gate.within([two, small, small]) == [two, small]
 
 
 def test_a_message_may_have_a_whole_tile() -> None:

@@ -107,13 +107,22 @@ def station(
 
 def robot(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Of this robot, in the fleet.")],
-    connect: Connect,
     source: Annotated[
         str,
         typer.Option(
             metavar="LOG|SCENARIO[/ROBOT]", help="What it senses: a log, or in a scenario as the robot of this name."
         ),
     ],
+    connect: Annotated[
+        list[str] | None, typer.Option(metavar="ADDRESS", help=f"Of the station, like {ADDRESS}; repeatable.")
+    ] = None,
+    listen: Annotated[
+        list[str] | None, typer.Option(metavar="ADDRESS", help="Where other robots find it; repeatable.")
+    ] = None,
+    peer: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="A robot with which it exchanges maps, instead of a station; repeatable."),
+    ] = None,
     store: Annotated[
         str | None,
         typer.Option(metavar="FILE|URL", help="Of its own map, and of what is still to send.  [default: NAME.db]"),
@@ -156,6 +165,8 @@ def robot(
     from terrafuse.errors import InputError
     from terrafuse.services.settings import LinkPart, RobotPart
 
+    if not (connect or listen):
+        raise InputError("give --connect ADDRESS, of the station or of a robot, or --listen ADDRESS for other robots")
     if share not in (None, "coarse", "fine", "none"):
         raise InputError(f"--share {share}: give coarse, fine or none")
     if precision not in ("exact", "full", "lean"):
@@ -167,11 +178,12 @@ def robot(
         origin_m=arguments.numbers("--origin", origin, "EAST,NORTH"), window=window,
     )  # fmt: skip
     part = RobotPart(
+        listen=tuple(listen or ()), peers=tuple(peer or ()),
         source=source, store=str(_path(store or f"{name}.db")), sensor=sensor, realtime=realtime,
         area_m=arguments.bounds(area, "--area"), area_radius_m=arguments.positive("--area-radius", area_radius),
         share=share, precision=precision, bytes_per_s=arguments.positive("--budget", budget, "bytes"),  # type: ignore[arg-type]
     )  # fmt: skip
-    link = _link(connect=tuple(connect), keys=keys, insecure=insecure, kind=LinkPart)
+    link = _link(connect=tuple(connect or ()), keys=keys, insecure=insecure, kind=LinkPart)
     return _run(_settings(map=about, link=link, stations=(station_name,), robots={name: part}), [name], json)
 
 
@@ -456,7 +468,7 @@ def _begins(settings: FleetSettings, name: str) -> str:
         where = f"listens on {', '.join(settings.link.listen)}" if settings.link.listen else "in this process"
         return f"map of {about.model}, {about.resolution_m:g} m cells, in {settings.station.store}; {where}"
     part = settings.robots[name]
-    return f"maps {part.source} into {part.store}, reports to {', '.join(settings.reported_to)}"
+    return f"maps {part.source} into {part.store}, reports to {', '.join(part.peers or settings.reported_to)}"
 
 
 class _Progress:
@@ -520,7 +532,9 @@ def _words(node: Node, facts: dict[str, Any]) -> str:
     skipped = "".join(f", {n} not placed ({why})" for why, n in source.get("skipped", {}).items())
     what = f"{source.get('scans', 0)} scans{skipped}, {count_text(source.get('points', 0))}points, {sent} sent"
     if node.done:
-        return f"{what}; all is at the station"
+        partners = [partner.split("/") for partner in of["exchange"]["partners"] if "/" in partner]
+        robots = ", ".join(node for node, service in partners if service == "exchange")
+        return f"{what}; all is at {robots or 'the station'}"
     return f"{what}; stopped, what is not sent is kept, and the same command goes on"
 
 

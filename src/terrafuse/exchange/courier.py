@@ -24,7 +24,7 @@ NODE is the sender. Each message travels in frames (`exchange.framing`).
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack
 
 from terrafuse.errors import CodecError, InputError
@@ -51,6 +51,8 @@ from terrafuse.types import Bounds, TileKey
 
 LEAST_FRAME = 64
 MOST_PEERS = 4096
+FORGET_S = 600
+"""Who said nothing for so long makes room for others."""
 MOST_ROBOTS = 1 << 16
 """That a peer may say it holds."""
 MOST_TILES = 1 << 16
@@ -68,7 +70,7 @@ class Courier:
     that is older than the last of its sender and kind never comes. `on_correction(sender, corrections)` likewise, for
     all the corrections of its poses that hold (`exchange.corrections`).
     `answerer(peer, question)` answers what peers ask, `on_answer(peer, number, answer)` is called with what they answer
-    (`exchange.asking`).
+    (`exchange.asking`). `grant(peer, area)` says whether a peer may have an area of interest.
 
     `counts`: messages_sent, frames_sent and bytes_sent by kind (`bytes_sent.delta`, `.summary`, `.post`),
     messages_received by kind, deltas_applied, deltas_known (of which nothing was new), and what was refused by reason
@@ -87,6 +89,7 @@ class Courier:
         on_correction: OnCorrection | None = None,
         on_answer: OnAnswer | None = None,
         answerer: Answerer | None = None,
+        grant: Callable[[str, Bounds], bool] | None = None,
         settings: CourierSettings | None = None,
         limits: Limits | None = None,
     ) -> None:
@@ -96,6 +99,7 @@ class Courier:
         self.strangers: dict[str, int] = {}
         self.namesakes: frozenset[str] = frozenset()
         self._link = link
+        self._may_ask = grant
         self._only = None if peers is None else frozenset(peers)
         self._peers: dict[str, Peer] = {}
         self._reassembler = Reassembler(limits, self.counts)
@@ -166,6 +170,11 @@ class Courier:
         """Peers of whom something was heard within `silent_s`, sorted."""
         since_ns = now_ns - self.settings.silent_s * SECOND_NS
         return sorted(name for name, peer in self._peers.items() if peer.heard_ns >= since_ns)
+
+    def waiting(self, peer: str) -> bool:
+        """Whether something that was posted to a peer has not arrived."""
+        known = self._peers.get(peer)
+        return known is not None and any(not post.arrived for post in known.posts.values())
 
     def behind(self, peer: str) -> dict[str, dict[str, int]]:
         """By channel, then by robot, how many tiles a peer lacks something of that this node would send it.
@@ -281,13 +290,22 @@ class Courier:
                 known = peer.channels.setdefault(channel, PeerChannel())
                 _learn(known, robots, summary.held.get(channel, {}), summary.ahead.get(channel, {}))
                 self._compare(peer, channel, summary.roots.get(channel, {}))
-        peer.area = None if summary.area is None else Bounds(*summary.area)
+        self._grant(peer, None if summary.area is None else Bounds(*summary.area))
         for post in peer.posts.values():
             post.arrived |= post.flight is not None and post.flight.message.id in summary.finished
         for channel, said in summary.held.items():
             if self.node in said:
                 self._recover(peer, channel)
         return sender
+
+    def _grant(self, peer: Peer, area: Bounds | None) -> None:
+        """What a peer is interested in, unless it is refused."""
+        if area == peer.asked_area:
+            return
+        peer.asked_area, peer.area = area, area
+        if area is not None and self._may_ask is not None and not self._may_ask(peer.name, area):
+            peer.area = None
+            self.counts["refused.area"] += 1
 
     def _hear_namesake(self, summary: Summary) -> None:
         """A node of this one's own name; or this one's former life, late."""
@@ -300,9 +318,20 @@ class Courier:
         return known
 
     def _peer(self, name: str) -> Peer | None:
-        if name not in self._peers and (self._only is None or name in self._only) and len(self._peers) < MOST_PEERS:
-            self._peers[name] = Peer(name)
+        if name not in self._peers and (self._only is None or name in self._only):
+            if len(self._peers) >= MOST_PEERS:
+                self._forget_somebody()
+            if len(self._peers) < MOST_PEERS:
+                self._peers[name] = Peer(name)
         return self._peers.get(name)
+
+    def _forget_somebody(self) -> None:
+        """Who has said nothing for longest, and for long: those who look at a station have a new name each time."""
+        spoke = [peer for peer in self._peers.values() if peer.heard_ns >= 0]
+        oldest = min(spoke, key=lambda peer: peer.heard_ns, default=None)
+        if oldest is not None and oldest.heard_ns + FORGET_S * SECOND_NS < self._now_ns:
+            del self._peers[oldest.name]
+            self._lives.forget(oldest.name)
 
     def _recover(self, peer: Peer, channel: str) -> None:
         """A peer that holds more of this node's robot than it ever told, has it from an earlier life of the node."""

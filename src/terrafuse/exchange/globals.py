@@ -24,6 +24,9 @@ from terrafuse.replica import Replica
 from terrafuse.tile import opaque
 from terrafuse.types import Array, Bounds, TileKey
 
+MOST_TILES = 1024
+"""In which nobody is interested any more."""
+
 
 class GlobalMap:
     """A `Source`: global cells, each with the number of the update that changed it last. `robot` is the node's name.
@@ -49,7 +52,19 @@ class GlobalMap:
         tile_m = self._replica.lattice.tile_m
         due = sorted(key for key in self._stale if areas is None or any(meets(key, tile_m, area) for area in areas))
         self._stale.difference_update(due)
+        self._make_room(areas)
         return sum(self._fold(key) for key in due)
+
+    def _make_room(self, areas: Collection[Bounds] | None) -> None:
+        """Forget tiles that nobody is interested in by now, where there are many: they are folded again, and told anew,
+        when somebody is."""
+        if areas is None or len(self._tiles) <= MOST_TILES:
+            return
+        tile_m = self._replica.lattice.tile_m
+        idle = [key for key in self._tiles if not any(meets(key, tile_m, area) for area in areas)]
+        self._stale.update(idle)
+        for key in idle:
+            del self._tiles[key], self._revisions[key]
 
     def delta(self, since: int) -> Delta:
         keys = sorted(key for key, revision in self._revisions.items() if revision > since)

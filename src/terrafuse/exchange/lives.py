@@ -55,6 +55,10 @@ class Lives:
             self._spoke_ns[peer.name] = now_ns
         return born_ns == peer.born_ns
 
+    def forget(self, node: str) -> None:
+        self._spoke_ns.pop(node, None)
+        self._rivals.pop(node, None)
+
     def other(self, node: str, born_ns: int, said_ns: int, now_ns: int) -> None:
         """Something came of a node of one's own name."""
         rival = self._rivals.get(node)

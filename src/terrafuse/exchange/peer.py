@@ -76,7 +76,9 @@ class Peer:
     channels: dict[str, PeerChannel] = field(default_factory=dict)
     missing: dict[bytes, list[int]] = field(default_factory=dict)
     area: Bounds | None = None
-    """Of interest to it, metres."""
+    """Of interest to it, metres, if it may have it."""
+    asked_area: Bounds | None = None
+    """As it said."""
     posts: dict[str, Posted] = field(default_factory=dict)
     """By kind."""
 

@@ -32,7 +32,8 @@ def _zenoh(settings: FleetSettings, tell: Tell) -> Carrier:
 
     def of_node(node: str) -> Callable[[], Link]:
         station = settings.station is not None and node == settings.station.name
-        transport = transport_of(settings.link, node, station)
+        part = settings.robots.get(node)
+        transport = transport_of(settings.link, node, station, () if part is None else part.listen)
         addresses(transport)  # what is wrong with them is said before anything starts
         return lambda: ZenohLink(node, transport, lambda text: tell(f"{node}: {text}"))
 
@@ -50,11 +51,12 @@ def upstream(settings: FleetSettings, tell: Tell) -> Callable[[], Link] | None:
     return _zenoh(FleetSettings(link=above), lambda text: tell(f"to {part.upstream_name}: {text}"))(part.name)
 
 
-def transport_of(link: LinkPart, node: str, listens: bool) -> Transport:
+def transport_of(link: LinkPart, node: str, listens: bool, also: tuple[str, ...] = ()) -> Transport:
+    """`also`: where a node listens that is no station."""
     from terrafuse.exchange.links.transport import Transport
 
     keys = None if link.keys is None else link.keys.replace("{node}", node)
-    listen, connect = (link.listen, ()) if listens else ((), link.connect)
+    listen, connect = (link.listen, ()) if listens else (also, link.connect)
     return Transport(listen=listen, connect=connect, keys=keys, insecure=link.insecure)
 
 

@@ -31,8 +31,8 @@ from terrafuse.types import Bounds
 
 TICK_S, LONGEST_TICK_S, LEAST_WAIT_S, FOLD_S = 0.02, 0.06, 0.001, 1.0
 BUSY = 3.0
-"""Times what a tick took, the next one waits, but only until `LONGEST_TICK_S` after this one began: what comes until then
-is made to last all at once. After one that took longer than that, enough waits."""
+"""Times what a tick took, the next one waits, but only until `LONGEST_TICK_S` after this one began: what comes until
+then is made to last all at once. After one that took longer than that, enough waits."""
 EXCHANGE, MAP_MANAGER = "exchange", "map-manager"
 
 
@@ -55,6 +55,10 @@ def unfolded(areas: Collection[Bounds]) -> object:
     return None
 
 
+def all_of_them(areas: Sequence[Bounds]) -> Collection[Bounds]:
+    return areas
+
+
 @dataclass(frozen=True)
 class Told:
     """What a robot's node tells of its own map."""
@@ -67,6 +71,8 @@ class Told:
     track: Track = field(default_factory=Track)
     area: Callable[[Place | None], Bounds | None] = nowhere
     """Of interest to it, where it is there."""
+    among_robots: bool = False
+    """Whether those it reports to are robots, which report to it."""
 
 
 def nobody(sender: str, robot: str) -> bool:
@@ -83,6 +89,7 @@ class Exchange(Service):
     `stations`: whom it asks to take its map, and waits for: it is done when all of it is there, and nothing more comes.
     `deliver(service, message)` hands a message of another node to a service of this one; but first it is for
     `hear(sender, kind, payload, now_ns)`, which says whether it was, and raises ValueError for what is none.
+    Of robots' areas of interest it grants those that `grant` does, and folds those `within` what it may at once.
     `answers` what peers ask for. `book`: the file of corrections of poses (`services.book`): of a robot's own, or of
     those that a station passes on, of whoever `may_correct(sender, robot)`. `joins`: its peers are stations to it,
     though it is none's robot: it passes on to them what it holds. `area`: of interest to it.
@@ -105,18 +112,21 @@ class Exchange(Service):
         answers: Answers | None = None,
         book: Path | None = None,
         may_correct: Callable[[str, str], bool] = nobody,
+        grant: Callable[[str, Bounds], bool] | None = None,
+        within: Callable[[Sequence[Bounds]], Collection[Bounds]] = all_of_them,
         joins: bool = False,
         area: Bounds | None = None,
     ) -> None:
         super().__init__()
         self.contract = contract_of(name)
         self.stations = tuple(peers or ()) if told or joins else ()
-        self.partners = ("mapping", *(f"{station}/{MAP_MANAGER}" for station in self.stations)) if told else ()
+        service = EXCHANGE if told is not None and told.among_robots else MAP_MANAGER
+        self.partners = ("mapping", *(f"{station}/{service}" for station in self.stations)) if told else ()
         self._about, self._letters, self._deliver, self._told, self._hear = about, letters, deliver, told, hear
         self._place: Place | None = None
         self._way: Way | None = None
         self._place_ns = self._way_ns = self._fold_ns = 0
-        self._fold = fold
+        self._fold, self._within = fold, within
         self._book = None if book is None else Book(book)
         self._may_correct = may_correct
         self._channels = channels()
@@ -124,7 +134,7 @@ class Exchange(Service):
         try:
             self._courier = Courier(
                 self._link, self._channels, peers=peers, on_message=self._bring, on_correction=self._correct,
-                answerer=answers, settings=settings,
+                answerer=answers, grant=grant, settings=settings,
             )  # fmt: skip
             self.counts = self._courier.counts
             self._courier.area = area
@@ -133,13 +143,16 @@ class Exchange(Service):
             for robot in () if told is not None or self._book is None else self._book.all:
                 self._post_corrections(robot)
             for station in self.stations:
-                join = Message(contract_of(MAP_MANAGER).id, "join", json.dumps(about.as_json()).encode())
-                self._write(Letter(station, MAP_MANAGER, join))
+                join = Message(contract_of(service).id, "join", json.dumps(about.as_json()).encode())
+                self._write(Letter(station, service, join))
         except BaseException:
             self._link.close()
             raise
         self._said: dict[str, str] = {}
         self._now_ns = 0
+        self._level_heard: set[str] = set()
+        """Robots that have nothing more to come, all of which is here, and hold all of this one's."""
+        self._level_told = False
         self._quiet_ns: int | None = None
         """Since when all was on disk and nothing lacked."""
 
@@ -149,9 +162,9 @@ class Exchange(Service):
         for letter in self._letters.take():
             self._write(letter)
         self._tell_place(now_ns)
-        if now_ns - self._fold_ns >= FOLD_S * SECOND_NS and self._courier.areas:
+        if now_ns - self._fold_ns >= FOLD_S * SECOND_NS and (areas := self._courier.areas):
             self._fold_ns = now_ns
-            self._fold(self._courier.areas)
+            self._fold(self._within(areas))
         self._courier.tick(now_ns)
         if self._told is not None and self.stations:
             self._look_whether_done(self._told, now_ns)
@@ -163,6 +176,8 @@ class Exchange(Service):
             self._meet(message)
         elif message.kind == "correct":
             self._take_corrections(message)
+        elif message.kind == "level":
+            self._level_heard.add(message.sender)
         elif message.sender in self.stations:
             self._said[message.sender] = message.payload.decode(errors="replace")
             if message.kind == "refuse":
@@ -211,7 +226,7 @@ class Exchange(Service):
 
     def _correct(self, sender: str, corrections: Sequence[Correction]) -> None:
         """Kept beside the robot's map, by which that is made anew; of stations only."""
-        if self._told is None or self._book is None or sender not in self.stations:
+        if self._told is None or self._book is None or self._told.among_robots or sender not in self.stations:
             self.counts["refused.correction"] += 1
             return
         robot = self._link.node
@@ -279,14 +294,26 @@ class Exchange(Service):
     def _look_whether_done(self, told: Told, now_ns: int) -> None:
         """Two reports without anything lacking: by then whatever the mapping left was told."""
         lacks = any(self._courier.behind(station) for station in self.stations)
-        reached = set(self._courier.reached(now_ns)) >= set(self.stations)
+        reached = {*self._courier.reached(now_ns), *self._level_heard} >= set(self.stations)
         if lacks or not reached or not told.handover.committed.is_set() or told.handover.coarse:
             self._quiet_ns = None
         elif self._quiet_ns is None:
             self._quiet_ns = now_ns
         else:
             patience_ns = 2 * self._courier.settings.period_s * SECOND_NS
-            self.done = self.done or now_ns - self._quiet_ns >= patience_ns
+            if now_ns - self._quiet_ns >= patience_ns:
+                self.done = self.done or not told.among_robots or self._is_level_with_robots(now_ns)
+
+    def _is_level_with_robots(self, now_ns: int) -> bool:
+        """Each tells the others that it has nothing more to come, and leaves when all did and its own word arrived, or
+        who should hear it has left."""
+        if not self._level_told:
+            self._level_told = True
+            for robot in self.stations:
+                self._write(Letter(robot, EXCHANGE, Message(contract_of(EXCHANGE).id, "level")))
+        reached = self._courier.reached(now_ns)
+        waits = any(self._courier.waiting(robot) for robot in self.stations if robot in reached)
+        return self._level_heard >= set(self.stations) and not waits
 
     def _meet(self, message: Message) -> None:
         """A robot says which map it works on: is it this one?"""
@@ -301,7 +328,7 @@ class Exchange(Service):
         if map_ != ours["map"]:
             kind, words = (
                 "refuse",
-                f"it works on {_words(map_)}, and the station on {_words(ours['map'])}; make them equal",
+                f"it works on {_words(map_)}, and '{self._link.node}' on {_words(ours['map'])}; make them equal",
             )
             self.counts["refused.join"] += 1
         elif settings != ours["settings"]:
@@ -309,10 +336,14 @@ class Exchange(Service):
             words = f"the model's settings differ from the station's: {', '.join(other)}"
         reply = Message(contract_of(EXCHANGE).id, kind, words.encode())
         self._write(Letter(message.sender, EXCHANGE, reply))
+        if self._told is None and self._book is not None and message.sender in self._book.all:
+            self._post_corrections(message.sender)  # it may have been away for so long that it was forgotten
 
 
 def contract_of(name: str) -> Contract:
-    return Contract(f"terrafuse/{name}", 1, remote=frozenset({"join", "welcome", "refuse", "correct", "corrected"}))
+    return Contract(
+        f"terrafuse/{name}", 1, remote=frozenset({"join", "welcome", "refuse", "correct", "corrected", "level"})
+    )
 
 
 def _held(channel: Channel) -> dict[str, Any]:

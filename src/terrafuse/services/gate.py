@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import accumulate
 from math import inf
 from pathlib import Path
 
 import numpy as np
 
 from terrafuse.errors import InputError
+from terrafuse.exchange.area import tiles_in
 from terrafuse.exchange.channel import Channel, unheard
 from terrafuse.exchange.framing import Limits
 from terrafuse.exchange.guard import Allows, Guard, Policy, Quotas
 from terrafuse.services.places import PLACE, TRACK, decode_place, decode_track
 from terrafuse.services.settings import QuotasPart
 from terrafuse.store.base import Store
-from terrafuse.types import TileKey
+from terrafuse.types import Bounds, TileKey
 
 OnChange = Callable[[str, Sequence[TileKey]], None]
 
@@ -33,12 +35,22 @@ class Gate:
             raise InputError("relays: with keys, these say who may relay: terrafuse keys add NAME --station")
         policy: Allows = Policy(frozenset(relays)) if keys is None else Roll(Path(keys))
         self._guards = [_guard(store, quotas, policy) for store in stores]
+        self._quotas, self._tile_m = quotas, stores[0].map.tile_m
         self._policy, self._open = policy, keys is None
 
     def channel(self, name: str, which: int, store: Store, on_change: OnChange = unheard) -> Channel:
         """The channel of a map, which is passed on, too."""
         guard = self._guards[which]
         return Channel(name, store, relay=True, guard=guard.check, screen=guard.screen, on_change=on_change)
+
+    def grant(self, robot: str, area: Bounds) -> bool:
+        """Whether a robot may be interested in so much."""
+        return tiles_in(area, self._tile_m) <= self._quotas.area_tiles
+
+    def within(self, areas: Sequence[Bounds]) -> list[Bounds]:
+        """The first of these, as many as may be of interest at once."""
+        counts = accumulate(tiles_in(area, self._tile_m) for area in areas)
+        return [area for area, tiles in zip(areas, counts, strict=True) if tiles <= self._quotas.all_area_tiles]
 
     def may_correct(self, sender: str, robot: str) -> bool:
         """Who may report a robot may say where it was; without keys, anybody."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from terrafuse.errors import StoreMismatch
@@ -29,7 +29,7 @@ from terrafuse.services.places import Place
 from terrafuse.services.ports import Handover, Letterbox, ScanPort
 from terrafuse.services.precision import keep_to, projection
 from terrafuse.services.service import DONE, Message, Status
-from terrafuse.services.settings import FleetSettings, RobotPart, StationPart
+from terrafuse.services.settings import FleetSettings, QuotasPart, RobotPart, StationPart
 from terrafuse.services.simulated import source_text
 from terrafuse.services.source import Source
 from terrafuse.services.supervise import Orchestration, Restarts, Spec, Supervisor
@@ -119,6 +119,8 @@ def station(settings: FleetSettings, carrier: Carrier, upstream: Callable[[], Li
                 answers=Answers(part.name, replicas),
                 book=Path(part.store).with_suffix(".corrections"),
                 may_correct=gate.may_correct,
+                grant=gate.grant,
+                within=gate.within,
             ),
             restarts=ALWAYS,
         ),
@@ -185,20 +187,29 @@ def robot(settings: FleetSettings, name: str, carrier: Carrier) -> Node:
     port, handover, letters = ScanPort(), Handover(), Letterbox()
     told = Told(
         archive, handover, MemoryStore(run.lattice.coarser(factor), run.model) if factor > 1 else None,
-        area=_area(part),
+        area=_area(part), among_robots=bool(part.peers),
     )  # fmt: skip
     near = _beside(files, Path(part.store), GLOBAL, archive) if part.area_m or part.area_radius_m else None
     replica = _beside(files, Path(part.store), "replica", archive) if share == FINE else None
     pace = _pace(part.bytes_per_s)
+    reports_to = part.peers or settings.reported_to
+    keys = None if settings.link.keys is None else settings.link.keys.replace("{node}", name)
     about = About(run.lattice, run.model)
     whole = MemoryStore(run.lattice.coarser(factor), run.model) if share == COARSE and factor > 1 else None
 
+    def among(channel: Channel) -> Channel:
+        """Among robots alone, each passes on what it holds, and is guarded like a station."""
+        if not part.peers or channel.store is None:
+            return channel
+        gate = Gate([channel.store], QuotasPart(), keys, part.peers if keys is None else ())
+        return replace(gate.channel(channel.name, 0, channel.store), own=channel.own, project=channel.project)
+
     def channels() -> Sequence[Channel]:
-        fine = Channel(FINE, replica, Held(archive, name, archive.unchanged), project=project)
+        fine = among(Channel(FINE, replica, Held(archive, name, archive.unchanged), project=project))
         some = [fine] if near is None else [fine, Channel(GLOBAL, near, near=True)]
         if told.coarse is None:
             return some
-        return [Channel(COARSE, whole, Held(told.coarse, name), project=project), *some]
+        return [among(Channel(COARSE, whole, Held(told.coarse, name), project=project)), *some]
 
     shown = {FINE: archive, COARSE: told.coarse, GLOBAL: near}
     answers = Answers(name, {what: Replica(store=map_) for what, map_ in shown.items() if map_ is not None})
@@ -228,16 +239,14 @@ def robot(settings: FleetSettings, name: str, carrier: Carrier) -> Node:
                 pace,
                 letters,
                 supervisor.send,
-                peers=settings.reported_to,
+                peers=reports_to,
                 told=told,
                 answers=answers,
                 book=Path(part.store).with_suffix(".corrections"),
             ),
             restarts=ALWAYS,
         ),
-        *_common(
-            "terrafuse/robot-orchestration", lambda: supervisor, name, letters, settings.reported_to, pace.bytes_per_s
-        ),
+        *_common("terrafuse/robot-orchestration", lambda: supervisor, name, letters, reports_to, pace.bytes_per_s),
     ]
     supervisor = Supervisor(specs)
     return Node(name, supervisor, EXCHANGE, files)

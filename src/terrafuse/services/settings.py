@@ -47,6 +47,10 @@ class QuotasPart(Part):
     """Of reports, over half a minute."""
     tiles: int = Field(default=20_000, gt=0)
     """Altogether."""
+    area_tiles: int = Field(default=1024, gt=0)
+    """Of its area of interest, of which the station keeps the map,"""
+    all_area_tiles: int = Field(default=8192, gt=0)
+    """and of all robots' areas."""
     distance_m: float | None = Field(default=None, gt=0)
     """From where the robot says it was to the near edge of a tile; None: anywhere."""
 
@@ -88,6 +92,10 @@ class RobotPart(Part):
     """West, south, east, north: of interest. The robot then holds the fleet's map there."""
     area_radius_m: float | None = Field(default=None, gt=0)
     """The same about where it is by now."""
+    listen: tuple[str, ...] = ()
+    """Where other robots find it."""
+    peers: tuple[str, ...] = ()
+    """Robots with which it exchanges maps, instead of a station."""
     precision: Literal["exact", "full", "lean"] = "exact"
     """Of what it reports: docs/delta-format.md."""
     bytes_per_s: float | None = Field(None, gt=0)
@@ -107,6 +115,9 @@ class FleetSettings(Part):
     def _names_differ(self) -> FleetSettings:
         if self.station is not None and self.station.name in self.robots:
             raise ValueError(f"the station and a robot are both called '{self.station.name}'; names must differ")
+        for name, robot in self.robots.items():
+            if name in robot.peers:
+                raise ValueError(f"'{name}' is its own peer; name the other robots")
         return self
 
     @property

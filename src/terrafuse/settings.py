@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from inspect import Parameter, signature
 from itertools import pairwise
+from numbers import Integral, Real
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -57,6 +58,24 @@ def typed_settings(name: str, make: Callable[..., Any], texts: Mapping[str, str]
     """The values that these texts mean. Raises InputError for a setting that there is none of, or a wrong value."""
     known = settings_of(make)
     return {key: _value(name, _setting(name, make, known, key), text) for key, text in texts.items()}
+
+
+def misfit(make: Callable[..., Any], values: Mapping[str, Any]) -> str | None:
+    """What is wrong with the type of one of these values for the setting of its name, or None."""
+    kinds = _hints(make)
+    for key, value in values.items():
+        allowed = _kinds(kinds.get(key, Any))
+        if not any(_is(kind, value) for kind in allowed):
+            return f"{key} {value!r}: give {' or '.join(_words(kind) for kind in allowed)}"
+    return None
+
+
+def _is(kind: Any, value: Any) -> bool:
+    if kind in (int, float):
+        return isinstance(value, Integral if kind is int else Real) and not isinstance(value, bool)
+    if get_origin(kind) is Literal:
+        return value in get_args(kind)
+    return not isinstance(kind, type) or isinstance(value, kind)
 
 
 def _setting(name: str, make: Callable[..., Any], known: Mapping[str, Setting], key: str) -> Setting:

@@ -105,7 +105,7 @@ BASE = "name: s\nmax_range_m: 10\n"
         ("ring: {count: 4, first: 0}", "my.yaml:3: ring.first: there is no such key; known here: count, first_deg"),
         ("ring:\n  count: 4\n  azimuth_deg: 3", "my.yaml:5: ring.azimuth_deg: there is no such key"),
         ("min_range_m: -1", "my.yaml:3: min_range_m = -1: input should be greater than or equal to 0"),
-        ("min_range_m: 10", "my.yaml: min_range_m 10 is not below max_range_m 10"),
+        ("min_range_m: 10", "my.yaml:1: min_range_m 10 is not below max_range_m 10"),
         ("min_range_m: .nan", "my.yaml:3: min_range_m = nan: input should be a finite number"),
         ("noise_sigma_m: .inf", "my.yaml:3: noise_sigma_m = inf: input should be a finite number"),
         ("min_range_m: wide", "my.yaml:3: min_range_m = 'wide': input should be a valid number"),

@@ -14,6 +14,7 @@ from terrafuse.models.layers import LAYERS, check_layers, layers_of
 from terrafuse.models.occupancy import Occupancy
 from terrafuse.models.terrain import Terrain
 from terrafuse.plugins import HINT
+from terrafuse.settings import misfit
 
 MODELS: dict[str, Callable[..., Model]] = {
     "elevation": Elevation,
@@ -32,6 +33,8 @@ def make_model(name: str, settings: Mapping[str, Any] | None = None) -> Model:
     if not any(parameter.kind is Parameter.VAR_KEYWORD for parameter in known.values()):
         for key in given.keys() - known.keys():
             raise InputError(f"cell model '{name}' has no setting '{key}'; there are: {', '.join(known)}")
+    if (wrong := misfit(make, given)) is not None:
+        raise InputError(f"cell model '{name}': {wrong}")
     try:
         return make(**given)
     except TypeError as error:

@@ -5,6 +5,7 @@ Every angle can be given in degrees or in radians, by the key's ending. Errors n
 
 from __future__ import annotations
 
+import difflib
 import json
 import math
 from collections.abc import Sequence
@@ -24,6 +25,11 @@ MAX_BEAMS = 10_000_000
 SUFFIX = ".yaml"
 Number = Annotated[float, Field(strict=True)]
 """True and "1" are none."""
+
+
+FARTHEST_M = 1e6
+Offset = Annotated[Number, Field(ge=-1000, le=1000)]
+"""Metres from the robot's base, or from the sensor's own origin."""
 
 
 class _Description(BaseModel):
@@ -74,7 +80,7 @@ class _Ring(_Description):
     step_deg: Number | None = Field(None, gt=0)
     step_rad: Number | None = Field(None, gt=0)
     counting: Literal["clockwise", "anticlockwise"] = "anticlockwise"
-    radius_m: Number = Field(0.0, ge=0)
+    radius_m: Number = Field(0.0, ge=0, le=1000)
     elevations_deg: tuple[Number, ...] | None = Field(None, min_length=1)
     elevations_rad: tuple[Number, ...] | None = Field(None, min_length=1)
 
@@ -96,7 +102,7 @@ class _Beams(_Description):
     azimuths_rad: tuple[Number, ...] | None = Field(None, min_length=1)
     elevations_deg: tuple[Number, ...] | None = None
     elevations_rad: tuple[Number, ...] | None = None
-    radius_m: Number = Field(0.0, ge=0)
+    radius_m: Number = Field(0.0, ge=0, le=1000)
 
     def value(self) -> Beams:
         azimuths = self.rads("azimuths", ())
@@ -110,9 +116,9 @@ class _Beams(_Description):
 
 
 class _Mounting(_Description):
-    x_m: Number = 0.0
-    y_m: Number = 0.0
-    z_m: Number = 0.0
+    x_m: Offset = 0.0
+    y_m: Offset = 0.0
+    z_m: Offset = 0.0
     roll_deg: Number | None = None
     roll_rad: Number | None = None
     pitch_deg: Number | None = None
@@ -126,19 +132,19 @@ class _Mounting(_Description):
 
 class _Sensor(_Description):
     name: str = Field(min_length=1, max_length=200)
-    max_range_m: Number = Field(gt=0)
+    max_range_m: Number = Field(gt=0, le=FARTHEST_M)
     min_range_m: Number = Field(0.0, ge=0)
     no_return: Literal["clear", "ignore"] = "ignore"
     sentinels_m: dict[Number, Literal["clear", "ignore"]] = Field(default_factory=dict)
     ring: _Ring | None = None
     beams: _Beams | None = None
-    origin_m: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
+    origin_m: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
     cone_half_angle_deg: Number | None = Field(None, ge=0)
     cone_half_angle_rad: Number | None = Field(None, ge=0)
-    range_error_m: Number = Field(0.0, ge=0)
-    noise_sigma_m: Number = Field(0.0, ge=0)
+    range_error_m: Number = Field(0.0, ge=0, le=FARTHEST_M)
+    noise_sigma_m: Number = Field(0.0, ge=0, le=FARTHEST_M)
     reliability: Number = Field(1.0, gt=0, le=1)
-    firing_period_s: Number = Field(0.0, ge=0)
+    firing_period_s: Number = Field(0.0, ge=0, le=3600)
     mounting: _Mounting = Field(default_factory=_Mounting)
 
     def value(self) -> Sensor:
@@ -217,17 +223,24 @@ def content(sensor: Sensor) -> dict[str, Any]:
 
 def _complaint(error: ValidationError, document: Document) -> InputError:
     """The first fault: file, line, key, value, remedy."""
-    first = error.errors()[0]
+    faults = error.errors()
+    first = next((fault for fault in faults if fault["type"] in ("extra_forbidden", "invalid_key")), faults[0])
     keys = [key for key in first["loc"] if key != "[key]"]
     name = shown(".".join(map(str, keys)))
     if first["type"] in ("extra_forbidden", "invalid_key"):
-        return document.error(keys, f"{name}: there is no such key; known here: {', '.join(_known_keys(keys[:-1]))}")
+        return document.error(keys, f"{name}: there is no such key; {_meant(keys)}")
     if first["type"] == "missing":
         return document.error(keys, f"{name}: is missing; add it")
     message = str(first.get("ctx", {}).get("error", first["msg"]))
     if not keys:
-        return InputError(f"{document.where}: {message}")
+        return document.error((), message)
     return document.error(keys, f"{name} = {shown(repr(first['input']))}: {message[0].lower()}{message[1:]}")
+
+
+def _meant(keys: list[Any]) -> str:
+    known = _known_keys(keys[:-1])
+    near = difflib.get_close_matches(str(keys[-1]), known, 1)
+    return f"known here: {', '.join(known)}" + (f"; did you mean {near[0]}?" if near else "")
 
 
 def _known_keys(path: list[Any]) -> list[str]:

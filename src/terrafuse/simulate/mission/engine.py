@@ -17,14 +17,14 @@ from terrafuse.logs.recorder import McapRecorder
 from terrafuse.mapper import Mapper
 from terrafuse.models import make_model
 from terrafuse.navigate.allotment import nearest_takes, patrol
-from terrafuse.sense import Sensor, load_sensor
-from terrafuse.sense.describe import described
-from terrafuse.simulate.mission.behaviours import BEHAVIOURS, Behaviour
+from terrafuse.sense import Sensor
+from terrafuse.simulate.mission.behaviours import Behaviour
 from terrafuse.simulate.mission.behaviours.patrol import ROUTE, Patrol
 from terrafuse.simulate.mission.exchange import ANTENNA_M, STATION, Node, Station, radio_of
 from terrafuse.simulate.mission.fleet import Fleet
 from terrafuse.simulate.mission.localiser import LOCALISERS
 from terrafuse.simulate.mission.ownmap import OwnMap
+from terrafuse.simulate.mission.parts import behaviour_of, check_parts, sensor_of
 from terrafuse.simulate.mission.prior import FILE as PRIOR_FILE
 from terrafuse.simulate.mission.prior import coarse_prior, prior_store, write_buildings
 from terrafuse.simulate.mission.reachable import Reach, first_unreachable
@@ -38,7 +38,6 @@ from terrafuse.simulate.movers import bodies
 from terrafuse.simulate.rays import RayCaster
 from terrafuse.simulate.scenario import Loaded
 from terrafuse.simulate.scenario.model import RobotsPart, SensorPart
-from terrafuse.simulate.scenario.read import checked
 from terrafuse.store.base import Store
 from terrafuse.store.memory import MemoryStore
 from terrafuse.types import Stamp
@@ -61,6 +60,7 @@ class Mission:
     ) -> None:
         """`store` takes the robots' fine maps (in memory without one); `folder` the prior's file and, to `record`,
         a log for each robot. Raises InputError that names the scenario's line."""
+        check_parts(loaded)
         self.loaded, self.scenario, self.world = loaded, loaded.scenario, loaded.world
         self.now_s = 0.0
         self._tick = 0
@@ -162,12 +162,18 @@ class Mission:
         """Map a made-up scan on the side: kernels are compiled with their first use, which is no robot's time."""
         mapper = Mapper("nobody", self.lattice, self.model)
         contribution = CoarseContribution(mapper, self.scenario.map.global_factor)
-        for vehicle in self.vehicles[:1]:
-            for sense in (*vehicle.senses, *vehicle.senses):
-                sensor, where = sense.sensor, self.fleet.pose(vehicle.number)
+        firsts = {
+            part.name: vehicle
+            for vehicle, (_, part) in reversed([*zip(self.vehicles, names_of(self.loaded), strict=True)])
+        }
+        for index, part in enumerate(self.scenario.robots):
+            for k, sense in enumerate(firsts[part.name].senses):
+                sensor, where = sense.sensor, self.fleet.pose(sense.number)
                 beams = len(sensor.beams.angles()[0]) if sensor.beams else 0
-                mapper.integrate(sense.scan(np.full(beams, sensor.max_range_m / 2), self.stamp_ns, where))
-                contribution.update()
+                for _ in range(2):
+                    with self.loaded.at("robots", index, "sensors", k):
+                        mapper.integrate(sense.scan(np.full(beams, sensor.max_range_m / 2), self.stamp_ns, where))
+                    contribution.update()
 
     def _known_before(self, folder: Path | None) -> tuple[MemoryStore | None, Delta | None]:
         """The prior on the robots' lattice, and coarsened."""
@@ -176,6 +182,10 @@ class Mission:
             return None, None
         if folder is None:
             raise InputError("a mission with a prior map needs a folder for its file")
+        if not self.world.houses:
+            raise self.loaded.error(
+                ("map", "prior_building_height_m"), "this world has no buildings; leave it out, or take a village"
+            )
         path = folder / PRIOR_FILE
         write_buildings(self.world, height_m, path)
         fine = prior_store(path, self.lattice, self.model)
@@ -197,7 +207,7 @@ class Mission:
         )
         recorder = None if logs is None else self._recorder(logs / f"{name}.mcap", senses[0].sensor)
         return Vehicle(
-            name, number, senses, localiser, mapper, node, self._behaviour(index, part, number), situation,
+            name, number, senses, localiser, mapper, node, self._behaviour(index, number), situation,
             part.altitude_m, recorder,
         )  # fmt: skip
 
@@ -207,24 +217,13 @@ class Mission:
         return recorder
 
     def _sense_of(self, number: int, index: int, k: int, part: SensorPart) -> Sense:
-        place = ("robots", index, "sensors", k, "description")
-        rng = np.random.default_rng([self.scenario.seed, number, 2, k])
-        if not isinstance(part.description, str):
-            return Sense(part, described(self.loaded.document.within(place)), number, rng)
-        try:
-            return Sense(part, load_sensor(part.description), number, rng)
-        except InputError as error:
-            raise self.loaded.error(place, str(error)) from error
+        return Sense(
+            part, sensor_of(self.loaded, index, k), number, np.random.default_rng([self.scenario.seed, number, 2, k])
+        )
 
-    def _behaviour(self, index: int, part: RobotsPart, number: int) -> Behaviour:
-        place = ("robots", index, "behaviour")
-        if part.behaviour.kind not in BEHAVIOURS:
-            raise self.loaded.error(
-                (*place, "kind"), f"behaviour '{part.behaviour.kind}'; there are {', '.join(BEHAVIOURS)}"
-            )
-        settings, makes = BEHAVIOURS[part.behaviour.kind]
-        rng = np.random.default_rng([self.scenario.seed, number, 3])
-        return makes(checked(self.loaded.document, settings, place, leaving_out=["kind"]), rng)
+    def _behaviour(self, index: int, number: int) -> Behaviour:
+        settings, makes = behaviour_of(self.loaded, index)
+        return makes(settings, np.random.default_rng([self.scenario.seed, number, 3]))
 
     def _allot(self) -> None:
         """The station's first act: routes along the streets for all who patrol and have none."""

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from terrafuse.errors import InputError
+from terrafuse.simulate.mission.behaviours.soccer import SoccerSettings
 from terrafuse.simulate.mission.fleet import Start
+from terrafuse.simulate.mission.parts import behaviour_of
+from terrafuse.simulate.mission.reachable import Reach
 from terrafuse.simulate.mission.surface import Surface
 from terrafuse.simulate.motion import BODIES, Rotors, placed
 from terrafuse.simulate.movers import bodies
@@ -16,12 +19,16 @@ from terrafuse.simulate.scenario import Loaded
 from terrafuse.simulate.scenario.model import RobotsPart
 from terrafuse.simulate.streets import Streets
 from terrafuse.simulate.world import World
-from terrafuse.types import Floats
+from terrafuse.types import Array, Floats
 
 ALONG_M = 2.5
 """Between places along a street."""
 APART_M = 6.0
 """Robots that start on the streets have so much room: in a crowd they wait for each other."""
+FREE_APART_M = 0.5
+"""Between robots on other free ground: rooms are small."""
+START_CELLS = 2**20
+"""Free ground is looked for in so many cells at most."""
 LANE = 0.25
 """Of a street's width, to the right of its middle."""
 
@@ -53,7 +60,8 @@ def names_of(loaded: Loaded) -> list[tuple[str, RobotsPart]]:
 
 
 def starts_of(loaded: Loaded, world: World, surface: Surface, station: tuple[float, float]) -> list[Start]:
-    """A free place for each robot: its own, or one on the streets, the nearest to the station first.
+    """A free place for each robot: its own; or one on the streets, the nearest to the station first; or, where these
+    have no more, or the world has none, on free ground.
 
     Raises InputError, with the line, where something stands in the place that the scenario gives.
     """
@@ -61,34 +69,71 @@ def starts_of(loaded: Loaded, world: World, surface: Surface, station: tuple[flo
     for index, part in enumerate(loaded.scenario.robots):
         if part.body not in BODIES:
             raise loaded.error(("robots", index, "body"), f"body '{part.body}'; there are {', '.join(BODIES)}")
-        for number in range(part.count):
-            taken.append(_start(loaded, world, surface, station, index, number, taken))
+        if part.altitude_m and not isinstance(BODIES[part.body].carriage, Rotors):
+            flying = ", ".join(name for name, body in BODIES.items() if isinstance(body.carriage, Rotors))
+            raise loaded.error(
+                ("robots", index, "altitude_m"), f"a {part.body} does not fly; leave it out, or take a {flying}"
+            )
+        for number in range(len(part.places)):
+            taken.append(_given(loaded, surface, index, number, taken))
+        others = _others(loaded, world, surface, station, index, taken)
+        for number in range(len(part.places), part.count):
+            if (start := next(others, None)) is None:
+                raise loaded.error(
+                    ("robots", index), f"no free place for {part.name}{number + 1}; take fewer robots, or give 'places'"
+                )
+            taken.append(start)
     return taken
 
 
-def _start(
-    loaded: Loaded, world: World, surface: Surface, station: tuple[float, float], index: int, number: int,
-    taken: list[Start],
-) -> Start:  # fmt: skip
+def _given(loaded: Loaded, surface: Surface, index: int, number: int, taken: list[Start]) -> Start:
+    """At the place that the scenario gives."""
     part = loaded.scenario.robots[index]
-    if number < len(part.places):
-        x, y, yaw_deg = part.places[number]
-        start = Start(part.body, x, y, math.radians(yaw_deg), part.motion)
-        if (why := _in_the_way(start, surface, taken)) is not None:
-            raise loaded.error(
-                ("robots", index, "places", number), f"{part.name}{number + 1} at {x:g},{y:g}: {why}; choose a free one"
-            )
-        return start
-    for x, y, yaw in _along(world.streets, station, part.spread):
-        start = Start(part.body, x, y, yaw, part.motion)
-        if not world.communications.at(x, y):
-            continue  # it would never hear of its route
-        crowded = any(math.hypot(x - other.x_m, y - other.y_m) < APART_M for other in taken)
-        if not crowded and _in_the_way(start, surface, taken) is None:
-            return start
-    raise loaded.error(
-        ("robots", index), f"no free place on the streets for {part.name}{number + 1}; give 'places', one a robot"
-    )
+    x, y, yaw_deg = part.places[number]
+    start = Start(part.body, x, y, math.radians(yaw_deg), part.motion)
+    if (why := _in_the_way(start, surface, taken)) is not None:
+        raise loaded.error(
+            ("robots", index, "places", number), f"{part.name}{number + 1} at {x:g},{y:g}: {why}; choose a free one"
+        )
+    return start
+
+
+def _others(
+    loaded: Loaded, world: World, surface: Surface, station: tuple[float, float], index: int, taken: list[Start]
+) -> Iterator[Start]:
+    """Free places as `taken` grows: those on the streets, then those on free ground."""
+    part = loaded.scenario.robots[index]
+
+    def free(places: Iterable[tuple[float, float, float]], apart_m: float) -> Iterator[Start]:
+        for x, y, yaw in places:
+            start = Start(part.body, x, y, yaw, part.motion)
+            crowded = any(math.hypot(x - other.x_m, y - other.y_m) < apart_m for other in taken)
+            # Where there is no signal it would never hear of its route.
+            if not crowded and world.communications.at(x, y) and _in_the_way(start, surface, taken) is None:
+                yield start
+
+    yield from free(_along(world.streets, station, part.spread), APART_M)
+    radius_m = BODIES[part.body].radius_m
+    yield from free(_on_free_ground(loaded, world, station, index, taken), 2 * radius_m + FREE_APART_M)
+
+
+def _on_free_ground(
+    loaded: Loaded, world: World, station: tuple[float, float], index: int, taken: list[Start]
+) -> Iterator[tuple[float, float, float]]:
+    """(x, y, yaw): what hangs together with where the first robot is, or the largest such part of the world; players
+    begin in their own half, and look at the other."""
+    part = loaded.scenario.robots[index]
+    first = (taken[0].x_m, taken[0].y_m) if taken else None
+    places = Reach(world, BODIES[part.body].radius_m, START_CELLS).free_places(first)
+    yaw_rad = 0.0
+    settings = behaviour_of(loaded, index)[0]
+    if isinstance(settings, SoccerSettings):
+        sign = 1.0 if settings.defends == "south" else -1.0
+        (x, y), (east_m, north_m) = places.T, settings.field_m
+        inside = (x > 0) & (x < east_m) & (y > 0) & (y < north_m) & (sign * (north_m / 2 - y) > 0)
+        places, yaw_rad = places[inside], sign * math.pi / 2
+    for x, y in places[_order(places, station, part.spread)].tolist():
+        yield x, y, yaw_rad
 
 
 def _in_the_way(start: Start, surface: Surface, taken: list[Start]) -> str | None:
@@ -111,10 +156,13 @@ def _along(streets: Streets, station: tuple[float, float], spread: bool) -> Iter
     places = _lanes(streets)
     if not len(places):
         return
-    order = np.argsort(np.hypot(*(places[:, :2] - station).T), kind="stable")
+    yield from map(tuple, places[_order(places[:, :2], station, spread)].tolist())
+
+
+def _order(places_m: Floats, station: tuple[float, float], spread: bool) -> Array:
     if spread:
-        order = np.random.default_rng(0).permutation(len(places))
-    yield from map(tuple, places[order].tolist())
+        return np.random.default_rng(0).permutation(len(places_m))
+    return np.argsort(np.hypot(*(places_m - station).T), kind="stable")
 
 
 def _lanes(streets: Streets) -> Floats:

@@ -51,7 +51,7 @@ def first_fault(error: ValidationError) -> Any:
 
 def place_of(fault: Mapping[str, Any]) -> tuple[Any, ...]:
     """The way to it, from the part that was checked."""
-    return (*fault["loc"], fault["ctx"]["key"]) if fault["type"] == WRONG else tuple(fault["loc"])
+    return (*fault["loc"], *fault["ctx"]["path"]) if fault["type"] == WRONG else tuple(fault["loc"])
 
 
 def told(fault: Mapping[str, Any], kind: type[BaseModel]) -> str:

@@ -49,9 +49,9 @@ class Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-def wrong(key: str, message: str) -> PydanticCustomError:
-    """To raise in a validator of a whole part: the fault of one of its keys."""
-    return PydanticCustomError(WRONG, "{message}", {"key": key, "message": message})
+def wrong(message: str, *path: str | int) -> PydanticCustomError:
+    """To raise in a validator of a whole part: the fault of what it has at this path."""
+    return PydanticCustomError(WRONG, "{message}", {"path": path, "message": message})
 
 
 class WorldPart(Part):
@@ -148,7 +148,7 @@ class RobotsPart(Part):
     @model_validator(mode="after")
     def _has_robots_for_its_places(self) -> Self:
         if len(self.places) > self.count:
-            raise wrong("places", f"{len(self.places)} places for {self.count} robots; give one a robot, or fewer")
+            raise wrong(f"{len(self.places)} places for {self.count} robots; give one a robot, or fewer", "places")
         return self
 
 
@@ -162,7 +162,7 @@ class CutPart(Part):
     @model_validator(mode="after")
     def _lasts(self) -> Self:
         if self.to_s <= self.from_s:
-            raise wrong("to_s", f"a cut from {self.from_s:g} to {self.to_s:g} s; give a to_s beyond from_s")
+            raise wrong(f"a cut from {self.from_s:g} to {self.to_s:g} s; give a to_s beyond from_s", "to_s")
         return self
 
 
@@ -217,5 +217,15 @@ class Scenario(Part):
     @model_validator(mode="after")
     def _lasts_a_tick(self) -> Self:
         if self.duration_s < self.tick_s:
-            raise wrong("duration_s", f"{self.duration_s:g} s are less than a tick; give {self.tick_s:g} or more")
+            raise wrong(f"{self.duration_s:g} s are less than a tick; give {self.tick_s:g} or more", "duration_s")
+        return self
+
+    @model_validator(mode="after")
+    def _cuts_what_there_is(self) -> Self:
+        nodes = [f"{part.name}{number}" for part in self.robots for number in range(1, part.count + 1)] + ["station"]
+        for k, cut in enumerate(self.radio.cuts):
+            for key in ("node", "other"):
+                name = getattr(cut, key)
+                if name is not None and name not in nodes:
+                    raise wrong(f"no node '{name}'; there are {', '.join(nodes)}", "radio", "cuts", k, key)
         return self

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError, create_model
 
 from terrafuse import strict_yaml
-from terrafuse.errors import InputError, MissingExtra, TerrafuseError, shown
+from terrafuse.errors import InputError, MissingExtra, OutputError, StoreError, TerrafuseError, shown
 from terrafuse.simulate.scenario.faults import first_fault, place_of, told
 from terrafuse.simulate.scenario.model import Part, RobotsPart, Scenario, WorldPart
 from terrafuse.simulate.world import World
@@ -23,7 +23,7 @@ from terrafuse.strict_yaml import Document
 
 SUFFIX = ".yaml"
 AnyPart = TypeVar("AnyPart", bound=BaseModel)
-SAID_ALREADY = (MissingExtra,)
+SAID_ALREADY = (MissingExtra, OutputError, StoreError)
 """Errors that are no fault of the scenario's."""
 
 
@@ -49,7 +49,7 @@ class Loaded:
             raise
         except MemoryError as error:
             raise self.error(path, "takes more memory than there is; give a smaller world or larger cells") from error
-        except (TerrafuseError, ValueError, TypeError, ArithmeticError) as error:
+        except (TerrafuseError, ValueError, ArithmeticError) as error:
             if isinstance(error, InputError) and str(error).startswith(f"{self.document.where}:"):
                 raise
             raise self.error(path, str(error)) from error

@@ -22,8 +22,8 @@ from terrafuse.simulate.mission.measures import wider
 from terrafuse.simulate.mission.tables import Cell, Table
 from terrafuse.simulate.mission.vehicle import Vehicle
 from terrafuse.simulate.movers import bodies
+from terrafuse.simulate.quantities import Place
 from terrafuse.simulate.scenario import Loaded
-from terrafuse.simulate.scenario.model import Place
 from terrafuse.simulate.worlds.soccer import EAST_M, NORTH_M
 from terrafuse.types import Array, Bounds, Floats
 from terrafuse.views import CellWindow

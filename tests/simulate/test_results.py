@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,11 @@ import pytest
 from terrafuse.errors import InputError, OutputError
 from terrafuse.replica import Replica
 from terrafuse.simulate.mission.recording import map_command
-from terrafuse.simulate.mission.results import run
-from terrafuse.simulate.scenario.read import changed
+from terrafuse.simulate.mission.results import WORKSHOP, run
+from terrafuse.simulate.mission.studies import STUDIES, Study
+from terrafuse.simulate.mission.tables import Table
+from terrafuse.simulate.scenario import with_robots
+from terrafuse.simulate.scenario.read import changed, read_scenario
 from terrafuse.store.sqlite import SqliteStore
 from tests.program import terrafuse
 from tests.simulate.missions import SMALL, small
@@ -123,9 +127,105 @@ def test_what_fails_leaves_no_store(tmp_path: Path) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run(small(), tmp_path, record=True, progress=stop)
-    assert not list(tmp_path.glob("*.db*"))
-    assert not list(tmp_path.glob("*.mcap"))
+        run(small(), tmp_path / "new", record=True, progress=stop)
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_can_not_be_set_up_leaves_nothing(tmp_path: Path) -> None:
+    text = SMALL.replace("kind: patrol", "kind: patrol, waypoints_m: [[900, 0]]")
+    with pytest.raises(InputError, match=r"small.yaml:17: waypoint"):
+        run(small(text), tmp_path, record=True)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_earlier_run_s_files_go(tmp_path: Path) -> None:
+    (tmp_path / "own.txt").write_text("mine")
+    (tmp_path / f"{WORKSHOP}killed").mkdir()
+    short = changed(small(), duration_s=0.2)
+    run(short, tmp_path, record=True)
+    assert (tmp_path / "r2.mcap").exists()
+    fewer = run(with_robots(short, 1), tmp_path, overwrite=True)
+    assert sorted([*fewer["files"].values(), "own.txt"]) == sorted(file.name for file in tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("study", "model", "says"),
+    [
+        ("village", "elevation", "needs the model terrain, not elevation; give study: map"),
+        ("village", "occupancy", "needs the model terrain"),
+        ("soccer", "grey", "needs the world soccer_field, not village"),
+        ("soccer", "elevation", "needs the model grey"),
+        ("parking", "terrain", "needs the model elevation"),
+        ("hallway", "terrain", "needs the world hallway"),
+    ],
+)
+def test_studies_say_first_what_they_need(tmp_path: Path, study: str, model: str, says: str) -> None:
+    text = SMALL.replace("model: terrain", f"model: {model}").replace("duration_s: 6", f"duration_s: 6\nstudy: {study}")
+    with pytest.raises(InputError, match=f"small.yaml:4: study '{study}' {says}"):
+        run(small(text), tmp_path / "out")
+    assert not list(tmp_path.iterdir())
+
+
+def fails(*_: Any) -> Any:
+    raise IndexError("nothing there")
+
+
+@pytest.mark.parametrize(
+    "study", [Study(tables=fails), Study(watchers=[fails]), Study(timed_tables=fails), Study(pictures=fails),
+              Study(tables=lambda: [Table("of no number", ("a",), ((math.nan,),))])],
+)  # fmt: skip
+def test_a_study_that_fails_costs_its_tables_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, study: Study
+) -> None:
+    monkeypatch.setitem(STUDIES, "mine", lambda mission, timeline: study)
+    text = SMALL.replace("duration_s: 6", "duration_s: 0.2\nstudy: mine")
+    report = run(small(text), tmp_path)
+    assert "nothing there" in report["study_failure"] or "JSON" in report["study_failure"]
+    assert set(report["files"].values()) == {file.name for file in tmp_path.iterdir()}
+    assert report["study_failure"].split(":")[0] in (tmp_path / "report.html").read_text()
+
+
+def test_a_world_of_too_many_cells_is_refused(tmp_path: Path) -> None:
+    text = SMALL.replace("side_m: 120", "side_m: 300").replace("resolution_m: 0.5", "resolution_m: 0.01")
+    with pytest.raises(InputError, match=r"small.yaml:8: 9e\+08 cells in a world of 300 × 300 m; give 0.02 m or more"):
+        run(small(text), tmp_path / "out")
+
+
+LASER = """
+duration_s: 2
+world: {kind: hallway}
+map: {model: occupancy, resolution_m: 0.1, tile_m: 10}
+robots:
+  - body: nomad
+    places: [[10, 6, 0]]
+    behaviour: {kind: wander}
+    sensors:
+      - kind: lidar
+        rate_hz: 5
+        dropout: 0.01
+        description:
+          name: laser
+          max_range_m: 2
+          min_range_m: 0.1
+          no_return: clear
+          noise_sigma_m: 0.01
+          ring: {count: 180, step_deg: 2}
+          mounting: {z_m: 0.4, yaw_deg: 10}
+"""
+
+
+@pytest.mark.parametrize("more", ["", "          origin_m: [0.1, 0, 0]\n          reliability: 0.8\n"])
+def test_logs_keep_that_beams_met_nothing(tmp_path: Path, more: str) -> None:
+    """Also where beams begin beside the sensor's origin, and how far it is to be believed. Twice: the command can be
+    given again."""
+    text = LASER.replace("count: 180", "radius_m: 0.2, count: 180") + more if more else LASER
+    report = run(read_scenario(text, "laser.yaml", "laser", Path()), tmp_path, record=True)
+    words = shlex.split(map_command(report, tmp_path))[1:]
+    for _ in range(2):
+        ran = terrafuse(*words, "--json")
+        assert ran.code == 0, ran.err
+        assert ran.json["map"]["digest"] == report["map"]["digest"]
+    assert report["cells"] > 500
 
 
 @pytest.mark.parametrize(

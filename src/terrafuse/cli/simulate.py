@@ -61,7 +61,7 @@ def simulate(
     try:
         loaded = load_scenario(scenario)
     except InputError:
-        if not json and not Path(scenario).exists():
+        if not json and not Path(scenario).is_file():
             note("\n".join(_lines_of_list()))
         raise
     loaded = changed(loaded, seed=seed, duration_s=duration)
@@ -132,6 +132,8 @@ def titles() -> dict[str, str]:
 
 def tell(report: dict[str, Any], out: Path) -> None:
     """A short summary, with the pictures' paths."""
+    if report["study_failure"] is not None:
+        note(f"warning: the study '{report['scenario']['study']}' failed, all else is there: {report['study_failure']}")
     timings, files = report["timings"], report["files"]
     say(
         f"{report['scenario']['title'] or report['scenario']['name']}: {_count(len(report['robots']))}, "

@@ -8,12 +8,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from terrafuse.sense import Sensor
 from terrafuse.simulate.mission.engine import Mission
+from terrafuse.simulate.mission.senses import as_logged
 from terrafuse.simulate.scenario import Loaded
 
-SENSOR = """# What {name}.mcap does not hold of the sensor; where it sits, /tf_static says.
-name: {sensor}
-max_range_m: {max_range_m:.17g}
+ABOUT = """# What {name}.mcap does not hold of the sensor; where it sits, /tf_static says.
 """
 
 
@@ -36,12 +36,23 @@ def write_sensors(mission: Mission, out: Path) -> dict[str, str]:
     files: dict[str, str] = {}
     for vehicle in mission.vehicles:
         sensor, name = vehicle.senses[0].sensor, vehicle.name
-        text = SENSOR.format(
-            name=name, sensor=json.dumps(sensor.name, ensure_ascii=False), max_range_m=sensor.max_range_m
-        )
-        (out / f"{name}.sensor.yaml").write_text(text, encoding="utf-8")
+        lines = (f"{key}: {json.dumps(value, ensure_ascii=False)}\n" for key, value in description(sensor).items())
+        (out / f"{name}.sensor.yaml").write_text(ABOUT.format(name=name) + "".join(lines), encoding="utf-8")
         files |= {f"log of {name}": f"{name}.mcap", f"sensor of {name}": f"{name}.sensor.yaml"}
     return files
+
+
+def description(sensor: Sensor) -> dict[str, Any]:
+    """Of a recorded sensor, by the keys of sensor files, what of it is not as by default: see `senses.as_logged`."""
+    about = as_logged(sensor)
+    out: dict[str, Any] = {"name": about.name, "max_range_m": about.max_range_m}
+    plain = Sensor("", 1.0)
+    for key in ("no_return", "origin_m", "cone_half_angle_rad", "range_error_m", "reliability"):
+        if getattr(about, key) != getattr(plain, key):
+            out[key] = getattr(about, key)
+    if about.radius_m:
+        out["ring"] = {"count": 1, "radius_m": about.radius_m}
+    return out
 
 
 def map_command(report: Mapping[str, Any], folder: Path) -> str:
@@ -57,4 +68,4 @@ def map_command(report: Mapping[str, Any], folder: Path) -> str:
         words += ["--crs", about["crs"]]
     if "prior" in report["files"]:
         words += ["--prior", str(folder / report["files"]["prior"])]
-    return shlex.join([*words, "--out", str(folder / "again")])
+    return shlex.join([*words, "--out", str(folder / "again"), "--overwrite"])

@@ -7,7 +7,10 @@ report.json is the same in every byte for one scenario and seed, whatever the th
 from __future__ import annotations
 
 import json
+import math
 import os
+import shutil
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,16 +23,18 @@ from terrafuse.export.cog import write_cog
 from terrafuse.export.files import final
 from terrafuse.folders import folder_for
 from terrafuse.replica import Replica
-from terrafuse.results import PARTIAL_STORE, STORE, Stage, map_facts, peak_resident_bytes
+from terrafuse.results import STORE, Stage, map_facts, peak_resident_bytes
 from terrafuse.simulate.mission.engine import Mission, Watcher, lattice_of, model_of
 from terrafuse.simulate.mission.exchange import STATION, counts_of
 from terrafuse.simulate.mission.film import Film
+from terrafuse.simulate.mission.guarded import Guarded
 from terrafuse.simulate.mission.measures import measures, truth_under, without_prior
+from terrafuse.simulate.mission.parts import check_parts
 from terrafuse.simulate.mission.pictures import Tracks, write_pictures
 from terrafuse.simulate.mission.prior import FILE as PRIOR_FILE
 from terrafuse.simulate.mission.recording import check_can_record, write_sensors
 from terrafuse.simulate.mission.report import stage_table, write_html
-from terrafuse.simulate.mission.studies import STUDIES, Study
+from terrafuse.simulate.mission.studies import NEEDS, STUDIES, Needs
 from terrafuse.simulate.mission.timeline import Timeline
 from terrafuse.simulate.scenario import Loaded
 from terrafuse.simulate.world import digest
@@ -37,6 +42,9 @@ from terrafuse.store.sqlite import SqliteStore, remove_store
 
 RASTER, FILM, PAGE, REPORT = "map.tif", "film.gif", "report.html", "report.json"
 TIMINGS = "timings"
+WORKSHOP = ".simulate-"
+MOST_CELLS = 2**28
+"""Of the map, in the whole world: studies and measures look at all that is known at once."""
 
 Progress = Callable[[Mission, float], None]
 """Called after each tick, with the share of the streets, or of free ground, that the station has mapped."""
@@ -71,28 +79,61 @@ def run(
 ) -> dict[str, Any]:
     """Simulate a scenario and write all that comes of it into the folder `out`; returns the report (as in report.json).
 
-    With `record`, each robot's log as well, NAME.mcap, and its sensor, NAME.sensor.yaml. The store grows under the name
-    map.partial.db and becomes map.db when all else is written. Raises OutputError where `out` holds a map already,
-    unless `overwrite`; InputError for what is wrong with the scenario, with the line.
+    With `record`, each robot's log as well, NAME.mcap, and its sensor, NAME.sensor.yaml. All is written into a folder
+    of its own in `out` first: a run that fails or is interrupted leaves nothing, and what an earlier one wrote goes
+    when the new files are whole. Raises OutputError where `out` holds a map already, unless `overwrite`; InputError for
+    what is wrong with the scenario, with the line.
     """
     _check_extras()
     if (out / STORE).exists() and not overwrite:
         raise OutputError(
             f"{out / STORE}: there is a map already; choose another --out, or replace it with --overwrite"
         )
-    if loaded.scenario.study not in STUDIES:
-        raise loaded.error(("study",), f"study '{loaded.scenario.study}'; there are {', '.join(STUDIES)}")
+    check_study(loaded)
     if record:
         check_can_record(loaded)
+    check_parts(loaded)
     clock = Clock(stage)
-    clock("world", lambda: loaded.world)
-    with folder_for(out), _partial_store(loaded, out) as store:
-        mission = clock("robots", lambda: Mission(loaded, store, out, record))
-        left = _Left(mission)
-        clock("simulate", lambda: left.run(threads, progress))
-        report = _write(mission, left, out, record, clock)
-        store.finish()
+    clock("world", lambda: check_size(loaded))
+    with folder_for(out), _workshop(out) as work:
+        store = SqliteStore.create(work / STORE, lattice_of(loaded), model_of(loaded))
+        try:
+            mission = clock("robots", lambda: Mission(loaded, store, work, record))
+            left = _Left(mission)
+            clock("simulate", lambda: left.run(threads, progress))
+            report = _write(mission, left, work, record, clock)
+            store.finish()
+        except BaseException:
+            store.close()
+            raise
+        _hand_over(work, out)
     return report
+
+
+def check_study(loaded: Loaded) -> None:
+    """Raise InputError for a study that there is none of, or that can't be made of such a map or world."""
+    study, needs = loaded.scenario.study, NEEDS.get(loaded.scenario.study, Needs())
+    if study not in STUDIES:
+        raise loaded.error(("study",), f"study '{study}'; there are {', '.join(STUDIES)}")
+    given = (("model", loaded.scenario.map.model, needs.models), ("world", loaded.scenario.world.kind, needs.worlds))
+    for what, name, needed in given:
+        if needed and name not in needed:
+            raise loaded.error(
+                ("study",), f"study '{study}' needs the {what} {' or '.join(needed)}, not {name}; give study: map"
+            )
+
+
+def check_size(loaded: Loaded) -> None:
+    """Make the world. Raise InputError for more cells in it than a computer can look at."""
+    west, south, east, north = loaded.world.bounds
+    cells = (east - west) * (north - south) / loaded.scenario.map.resolution_m**2
+    if cells > MOST_CELLS:
+        least_m = loaded.scenario.map.resolution_m * math.sqrt(cells / MOST_CELLS)
+        raise loaded.error(
+            ("map", "resolution_m"),
+            f"{cells:.2g} cells in a world of {east - west:.0f} × {north - south:.0f} m; give {least_m:.1g} m or more, "
+            "or a smaller world",
+        )
 
 
 class _Left:
@@ -101,7 +142,7 @@ class _Left:
     def __init__(self, mission: Mission) -> None:
         self.mission = mission
         self.film, self.tracks, self.timeline = Film(mission), Tracks(mission), Timeline(mission)
-        self.study: Study = STUDIES[mission.scenario.study](mission, self.timeline)
+        self.study = Guarded(STUDIES[mission.scenario.study](mission, self.timeline))
 
     def run(self, threads: int, progress: Progress | None) -> None:
         watchers: list[Watcher] = [self.film, self.tracks, self.timeline, *self.study.watchers]
@@ -125,7 +166,8 @@ def _write(mission: Mission, left: _Left, out: Path, record: bool, clock: Clock)
     if record:
         files |= write_sensors(mission, out)
     report = clock("measures", lambda: _facts(mission, fused, left)) | {"files": files}
-    report |= {TIMINGS: _timings(mission, left.study, clock.seconds)}
+    report |= {TIMINGS: _timings(mission, left.study, clock.seconds), "study_failure": left.study.failure}
+    report["tables"] += left.study.excuses()
     write_html(out / PAGE, report, out)
     with final(out / REPORT) as temporary:
         temporary.write_text(json.dumps(report, indent=1, allow_nan=False) + "\n")
@@ -158,37 +200,55 @@ def _facts(mission: Mission, fused: Replica, left: _Left) -> dict[str, Any]:
             for name, seen in (("map", without_prior(fused)), ("global", without_prior(station)))
         },
         "timeline": left.timeline.rows,
-        "tables": [table.as_json() for table in left.study.tables()],
+        "tables": left.study.tables(),
     }
 
 
-def _timings(mission: Mission, study: Study, stages: dict[str, float]) -> dict[str, Any]:
+def _timings(mission: Mission, study: Guarded, stages: dict[str, float]) -> dict[str, Any]:
     return {
         "stages_s": stages,
         "times_real_time": mission.now_s / stages["simulate"],
         "robots_s": {v.name: {**v.seconds, **v.mapper.seconds, **v.node.seconds} for v in mission.vehicles},
         "station_s": mission.station.seconds,
         "resident_bytes": peak_resident_bytes(),
-        "tables": [table.as_json() for table in (*study.timed_tables(), stage_table(mission))],
+        "tables": [*study.timed_tables(), stage_table(mission).as_json()],
     }
 
 
 @contextmanager
-def _partial_store(loaded: Loaded, out: Path) -> Iterator[SqliteStore]:
-    """A new store, which gets its final name when the block ends; nothing is left of it where that fails."""
-    for leftover in out.glob(".*.partial*"):
-        leftover.unlink()  # of a run that was killed while it wrote
-    partial = out / PARTIAL_STORE
-    remove_store(partial)
-    store = SqliteStore.create(partial, lattice_of(loaded), model_of(loaded))
+def _workshop(out: Path) -> Iterator[Path]:
+    """A folder in `out` that is gone when the block ends."""
+    for leftover in out.glob(f"{WORKSHOP}*"):
+        shutil.rmtree(leftover, ignore_errors=True)  # of a run that was killed
+    work = Path(tempfile.mkdtemp(prefix=WORKSHOP, dir=out))
     try:
-        yield store
-    except BaseException:
-        store.close()
-        remove_store(partial)
-        raise
-    remove_store(out / STORE)
-    os.replace(partial, out / STORE)
+        yield work
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+
+
+def _hand_over(work: Path, out: Path) -> None:
+    """Put what was made in the place of what an earlier run left, all of it. Raises OutputError."""
+    earlier, made = _files_of(out / REPORT), sorted(file.name for file in work.iterdir())
+    try:
+        remove_store(out / STORE)
+        for name in made:
+            os.replace(work / name, out / name)
+        for name in earlier.difference(made):
+            (out / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"{out}: can't be written ({error.strerror}: {error.filename}); choose another --out"
+        ) from error
+
+
+def _files_of(report: Path) -> set[str]:
+    """The files that a report lists, of those in its own folder."""
+    try:
+        files = json.loads(report.read_text(encoding="utf-8"))["files"]
+        return {file for file in files.values() if Path(file).name == file}
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return set()  # there is none, or it is not ours
 
 
 def _check_extras() -> None:

@@ -14,7 +14,8 @@ from functools import cached_property
 import numpy as np
 
 from terrafuse.logs.trajectory import quaternion_of
-from terrafuse.sense import Sensor, scan_of
+from terrafuse.sense import Mounting, Ring, Sensor, applied, scan_of
+from terrafuse.sense.sensor import CLEAR
 from terrafuse.simulate.rays import RayCaster
 from terrafuse.simulate.scenario.model import SensorPart
 from terrafuse.simulate.sensors import Lidar, Sonar, lidar_ranges, sonar_ranges
@@ -27,6 +28,8 @@ USABLE_CODES = (0, 1, 2, 4, 7, 3, 5, 6)
 """Rows of the Walsh–Hadamard matrix; the first five never mistake each other."""
 AT_ONCE_S = 0.05
 """Rings that fire at once, each at a moment of its own, do so within this."""
+FAR = 2.0
+"""Times the maximum range: so far are points that stand for beams without an echo, beyond any doubt of rounding."""
 FALSE_BY_M = 0.05
 """A reading that another robot's ping shortened by more is a false echo."""
 
@@ -104,7 +107,28 @@ class Sense:
         """What the robot maps: the readings, at the pose that it believes."""
         scan = scan_of(self.sensor, ranges_m, stamp_ns, T_world_base)
         T_world_sensor = logged(T_world_base) @ self._mounting
+        if self.part.kind == "lidar" and (self.sensor.no_return == CLEAR or self.sensor.has_origins):
+            cloud = Scan(stamp_ns, _cloud(self.sensor, scan), T_world_sensor, dropped=scan.dropped)
+            return applied(as_logged(self.sensor), cloud)
         return replace(scan, points=scan.points.astype(np.float32), T_world_sensor=T_world_sensor)
+
+    def cloud(self, ranges_m: Floats) -> Array:
+        """(N, 3) float32, in the sensor's frame: what a log keeps of a lidar's readings. Beams that met nothing and say
+        that their way was clear are points beyond the maximum range."""
+        return _cloud(self.sensor, scan_of(self.sensor, ranges_m, 0, Pose.identity()))
+
+
+def _cloud(sensor: Sensor, scan: Scan) -> Array:
+    misses = np.empty((0, 3)) if scan.misses is None else scan.misses
+    start = np.asarray(sensor.origin_m) if scan.origins is None else scan.origins[len(scan.points) :]
+    return np.concatenate([scan.points, start + FAR * (misses - start)]).astype(np.float32)
+
+
+def as_logged(sensor: Sensor) -> Sensor:
+    """What a reader of the log has to know of a sensor whose points are all returns, or beyond its range: it has no
+    beams that would be readings, and no codes; where it sits, the log says."""
+    ring = Ring(1, 0.0, math.tau, radius_m=sensor.radius_m) if sensor.radius_m else None
+    return replace(sensor, min_range_m=0.0, sentinels_m=(), beams=ring, noise_sigma_m=0.0, mounting=Mounting())
 
 
 def logged(pose: Pose) -> Pose:

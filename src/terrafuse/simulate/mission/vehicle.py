@@ -81,7 +81,7 @@ class Vehicle:
         ranges = sense.ranges(truth, around, own_ping if sense.hears_others else None)
         scan = sense.scan(ranges, stamp_ns, believed)
         if self.recorder is not None:
-            self.recorder.scan(stamp_ns, scan.points)
+            self.recorder.scan(stamp_ns, sense.cloud(ranges))
         met = echoes_of if sense.part.kind == "sonar" else obstacles_of
         obstacles = met(scan.points, sense.sensor.mounting.T_base_sensor, OBSTACLE_REACH_M)
         t1, processor_s = perf_counter(), thread_time()

@@ -70,6 +70,23 @@ STUDIES: dict[str, Callable[[Mission, Timeline], Study]] = {
     "village": _village,
 }
 
+
+@dataclass(frozen=True)
+class Needs:
+    """What a study can be made of; empty: whatever there is."""
+
+    models: tuple[str, ...] = ()
+    worlds: tuple[str, ...] = ()
+
+
+NEEDS: dict[str, Needs] = {
+    "hallway": Needs(worlds=("hallway",)),
+    "parking": Needs(models=("elevation",)),
+    "soccer": Needs(models=("grey",), worlds=("soccer_field",)),
+    "village": Needs(models=("terrain",)),
+}
+"""By study; one that is not here needs nothing."""
+
 SWEEPS: dict[str, Callable[[Loaded, Tell], list[Table]]] = {
     "fleet": lambda loaded, tell: [fleet.growth_table(loaded, tell=tell)],
     "hallway": lambda loaded, tell: hallway.sweep(loaded, tell=tell),

@@ -36,6 +36,19 @@ def test_an_unknown_scenario_is_bad_input_and_lists_them() -> None:
     assert ran.out == ""
 
 
+def test_a_folder_is_no_scenario_and_lists_them(tmp_path: Path) -> None:
+    ran = terrafuse("simulate", tmp_path)
+    assert ran.code == 2
+    assert "Village patrol" in ran.err
+    assert "neither a file nor one of" in ran.err
+
+
+def test_a_missing_file_says_so(tmp_path: Path) -> None:
+    ran = terrafuse("simulate", tmp_path / "mine.yaml")
+    assert ran.code == 2
+    assert "mine.yaml': neither a file nor one of" in ran.err
+
+
 def test_a_run(scenario: Path, tmp_path: Path) -> None:
     ran = terrafuse("simulate", scenario, "--robots", "1", "--seed", "3", "--duration", "0.5", "--record", cwd=tmp_path)
     assert ran.code == 0, ran.err
@@ -64,7 +77,10 @@ def test_json(scenario: Path, tmp_path: Path) -> None:
     [
         (("--robots", "0"), "0 robots: give 1 to 1000"),
         (("--duration", "-1"), "duration_s = -1"),
+        (("--duration", "1e300"), "duration_s = 1e+300: give 1e+06 or less"),
+        (("--duration", "0.01"), "duration_s: 0.01 s are less than a tick; give 0.1 or more"),
         (("--seed", "-1"), "seed = -1"),
+        (("--seed", "12345678901234567890123"), "give less than 1e+18"),
         (("--threads", "0"), "--threads"),
     ],
 )

@@ -153,6 +153,7 @@ map: {model: occupancy, resolution_m: 0.1}
             "prior",
             "can't be told what is known beforehand; leave it out, or take",
         ),
+        ("0.5\n  tile_m: 10", "100\n  tile_m: 1000", "prior", "gives no cell of this map.*; leave it out, or take"),
         ("village, side_m: 120", "hallway", "prior", "this world has no buildings"),
         ("model: terrain", "model: grey\n  # ", "kind: lidar", "the model 'grey' is for sonars"),
     ],

@@ -188,7 +188,13 @@ class Mission:
             )
         path = folder / PRIOR_FILE
         write_buildings(self.world, height_m, path)
-        fine = prior_store(path, self.lattice, self.model)
+        try:
+            fine = prior_store(path, self.lattice, self.model)
+        except InputError as error:
+            raise self.loaded.error(
+                ("map", "prior_building_height_m"),
+                f"{str(error).partition(': ')[2]}; leave it out, or take finer cells",
+            ) from error
         for delta in prior_deltas(fine):
             self.store.accept(delta)
         return fine, coarse_prior(fine, self.scenario.map.global_factor)

@@ -74,7 +74,7 @@ def _is(kind: Any, value: Any) -> bool:
     if kind in (int, float):
         return isinstance(value, Integral if kind is int else Real) and not isinstance(value, bool)
     if get_origin(kind) is Literal:
-        return value in get_args(kind)
+        return any(isinstance(value, type(one)) for one in get_args(kind))  # which ones, the model says
     return not isinstance(kind, type) or isinstance(value, kind)
 
 

@@ -402,7 +402,7 @@ def _symbols(streams, at, symbols):
         bits = max(own - DIRECT, 0)
         symbols[k] = FIRST[np.uint64(own)] + _bits(plain, here, bits)
         here += bits
-        table = min(own, most) << SHARE_BITS
+        table = np.int64(own if own < most else most) << SHARE_BITS
         if front > last or here > end:
             return False
     at[STATE], at[WORD], at[BIT] = x, front, here
@@ -535,7 +535,7 @@ def packed(whole: Unpacked, side: int, plan: Plan) -> bytes:
     every, counts = np.concatenate(columns), np.array([len(column) for column in columns])
     contexts = np.full(len(columns), CONTEXTS)
     contexts[len(columns) - 2 * len(numbers) + 1 :: 2][plan.kinds != PLAIN] = 1
-    return write(every, counts, contexts).tobytes()
+    return bytes(write(every, counts, contexts))
 
 
 NONE_ALIKE = np.zeros(1, np.int64)

@@ -67,7 +67,7 @@ QUIET_S, QUIET_SHARE = 4.0, 0.93
 SLOT_S = 0.01
 """Robots whose turn is within so long send at once: a generator that wakes up for each takes what the station needs."""
 RETRY, MOST_AGAIN = 4, 3
-"""What was sent so many seconds ago and is not said to be held is sent again, so many at a time."""
+"""What was sent so many seconds ago and is not said to be held is sent again, so many at a time, and as seldom."""
 BESIDES = 2
 """Frames of a robot's second after those of its delta."""
 CHECKED = 3
@@ -195,7 +195,8 @@ def _say(
         time.sleep(max(begin_ns / SECOND_NS + slot * SLOT_S - time.time(), 0))
         for robot, second in slots.get(slot, ()):
             link, now_ns = links[robot % len(links)], time.time_ns()
-            for lacking in range(levels[robot], min(second - RETRY, levels[robot] + MOST_AGAIN)):
+            due = second % RETRY == 0
+            for lacking in range(levels[robot], min(second - RETRY, levels[robot] + MOST_AGAIN) if due else 0):
                 again += 1
                 for frame in frames[robot, lacking][:-BESIDES]:
                     link.send(*frame, now_ns)

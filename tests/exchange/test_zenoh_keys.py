@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import ssl
 import threading
+import time
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -18,7 +19,7 @@ from terrafuse.exchange.codec import encode
 from terrafuse.exchange.framing import frames_of
 from terrafuse.exchange.links.reach import diagnosis
 from terrafuse.exchange.links.transport import Address, Transport, address
-from terrafuse.exchange.links.zenoh import ZenohLink
+from terrafuse.exchange.links.zenoh import NO_WORD_S, ZenohLink
 from terrafuse.keys.certificates import new_certificate
 from terrafuse.keys.fleet import Fleet
 from terrafuse.keys.identity import Identity, load_identity
@@ -79,6 +80,19 @@ def test_a_robots_certificate_lets_it_speak_for_itself_alone(fleet: Fleet, here:
             assert topic in heard(process, topic)
         for link in (thief, robot, relay):
             link.close()
+
+
+def test_a_station_that_is_alone_is_well(fleet: Fleet, here: str) -> None:
+    said: list[str] = []
+    station = ZenohLink("station", Transport(listen=here, keys=fleet.node_folder("station")), said.append)
+    robot = link_of(fleet, "r4", here)
+    until(lambda: station.nodes() == ["r4"], "the robot")
+    robot.close()
+    until(lambda: not station.nodes(), "it to go")
+    time.sleep(2 * NO_WORD_S)
+    assert said == []
+    assert station.trouble is None
+    station.close()
 
 
 def test_no_certificate_no_connection(fleet: Fleet, here: str) -> None:

@@ -45,6 +45,8 @@ LOOK_S = 0.2
 """How often the thread looks whether anything is to be done that nobody tells it of."""
 CLOSE_S = 1.0
 NO_WORD_S = 1.0
+SHORT_BREAK_S = 5.0
+"""A station that went is not tried to be told from something else there that speaks another language."""
 """A lost connection is spoken of when it has not come back by then."""
 LISTEN_S = 1.0
 """How long `listen` waits to be heeded, at most."""
@@ -332,8 +334,9 @@ class ZenohLink:
             self._say(self._diagnosis())
 
     def _shut_out(self) -> bool:
-        """Whether there is a connection, for long enough, and still no sign even of who is at its other end."""
-        settled = time.monotonic() - self._linked_s > NO_WORD_S
+        """Whether there is a connection, for long enough, and still no sign even of who is at its other end. Of who
+        only listens nobody need be there."""
+        settled = bool(self._connects) and time.monotonic() - self._linked_s > NO_WORD_S
         return self._identity is not None and not self._alone and settled and not self._presence.accompanied
 
     def _renew(self) -> None:
@@ -366,6 +369,8 @@ class ZenohLink:
         self._tried.set()
 
     def _diagnosis(self) -> str:
+        if self.counts["connections"] and time.monotonic() - self._linked_s < SHORT_BREAK_S:
+            return f"lost the connection to {', '.join(map(str, self._connects))}"
         return "; ".join(diagnosis(each, self._identity) for each in self._connects)
 
     def _say(self, trouble: str) -> None:

@@ -126,6 +126,14 @@ def test_two_stations_below_one(tmp_path: Path) -> None:
                 "that yard holds the map of the upper one",
             )
         assert digest(tmp_path / "yard.db") != ran.json["map"]["digest"]
+        lower = ["--connect", f"tcp/127.0.0.1:{yard}", "--station", "yard", "--insecure", "--json"]
+        known = terrafuse("services", *lower)
+        assert known.code == 0, known.err
+        assert {"yard", "r1"} <= {node["node"] for node in known.json["nodes"]}
+        shown = terrafuse("get", "yard/map-manager", *lower)
+        assert shown.json["state"]["channels"]["fine"].keys() == {"r1"}
+        part = terrafuse("get", "yard/map-manager", "--layer", "height", "--out", tmp_path / "y.png", *lower)
+        assert part.code == 0, part.err
         assert [fleet.stop(name)[0] for name in ("yard", "port", "city")] == [0, 0, 0]
 
 

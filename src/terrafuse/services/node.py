@@ -126,11 +126,12 @@ def station(settings: FleetSettings, carrier: Carrier, upstream: Callable[[], Li
         ),
     ]
     above: tuple[str, ...] = ()
+    written = letters  # the map manager takes from `letters`, which therefore stays what it is
     if upstream is not None:
         outgoing, above = Letterbox(), (part.upstream_name,)
         specs.append(_uplink(part, about, upstream, maps, files, pace, outgoing, lambda: supervisor))
-        letters = letters.forked(part.upstream_name, outgoing)
-    specs += _common("terrafuse/mapping-orchestration", lambda: supervisor, part.name, letters, above, pace.bytes_per_s)
+        written = letters.forked(part.upstream_name, outgoing)
+    specs += _common("terrafuse/mapping-orchestration", lambda: supervisor, part.name, written, above, pace.bytes_per_s)
     supervisor = Supervisor(specs)
     return Node(part.name, supervisor, None, files)
 

@@ -13,8 +13,11 @@ from dataclasses import dataclass, field
 from terrafuse.exchange.budget import Budget
 from terrafuse.exchange.framing import frames_of, message_id
 from terrafuse.exchange.links import Frame, Link
+from terrafuse.exchange.links.base import overhead_of
 
 POST, SUMMARY, REPLY = "post", "summary", "reply"
+USUAL_TOPIC = "delta/fine/robot/station"
+"""By its length, frames are made as long as the budget likes them."""
 FAIR = 8
 """Of so many frames one is of the last lane that has any, so that the first ones starve none."""
 
@@ -51,8 +54,8 @@ class Outbox:
     """Sends by `link`; counts messages, frames and bytes by kind in `counts`."""
 
     def __init__(self, link: Link, budget: Budget, channels: Sequence[str], counts: Counter[str]) -> None:
-        self.max_frame_bytes = budget.frame_bytes(link.max_frame_bytes)
-        self._link = link
+        self._link, self._overhead = link, overhead_of(link)
+        self.max_frame_bytes = budget.frame_bytes(link.max_frame_bytes, self._overhead(USUAL_TOPIC, 0))
         self._budget = budget
         self._counts = counts
         self._urgent = [POST, SUMMARY]
@@ -95,4 +98,6 @@ class Outbox:
         message.queued.discard(part)
         message.left_ns = now_ns
         self._counts[f"frames_sent.{message.kind}"] += 1
-        self._counts[f"bytes_sent.{message.kind}"] += self._budget.pay(len(frame.payload))
+        self._counts[f"bytes_sent.{message.kind}"] += self._budget.pay(
+            len(frame.payload), self._overhead(frame.topic, len(frame.payload))
+        )

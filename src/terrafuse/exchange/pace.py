@@ -25,7 +25,7 @@ class CourierSettings:
     bytes_per_s: float = inf
     """What this node sends at most; less than what the link carries, or it queues there."""
     overhead_bytes: int = 0
-    """That the carrier adds to each frame, and the budget counts."""
+    """That the carrier adds to each frame beside what the link says itself, and the budget counts."""
     summary_share: float = 0.15
     """Of the budget: summaries come less often, and whole ones say less, rather than take more."""
     message_cells: int = 2048

@@ -44,6 +44,9 @@ FINE, COARSE, GLOBAL = "fine", "coarse", "global"
 MESSAGE_S, CELL_BYTES = 0.5, 10
 """What a message may take of a link, and a cell about takes of a message."""
 LEAST_CELLS, MOST_CELLS = 2048, 1 << 16
+FRAMES_SHARE = 0.97
+"""Of the budget; signs of life, and what confirms others' segments, take less than the rest. It also keeps a link that
+is just as fast as the budget from filling up, where nothing urgent could overtake."""
 
 
 @dataclass(eq=False)
@@ -277,7 +280,7 @@ def _pace(bytes_per_s: float | None) -> CourierSettings:
     if bytes_per_s is None:
         return CourierSettings(message_cells=MOST_CELLS)
     cells = min(max(round(bytes_per_s * MESSAGE_S / CELL_BYTES), LEAST_CELLS), MOST_CELLS)
-    return CourierSettings(bytes_per_s=bytes_per_s, message_cells=cells)
+    return CourierSettings(bytes_per_s=FRAMES_SHARE * bytes_per_s, message_cells=cells)
 
 
 def open_map(path: Path, settings: FleetSettings) -> SqliteStore:

@@ -91,7 +91,8 @@ def fate_of(connection: int, mishaps: Mishaps, seed: int) -> Fate:
 class Relay:
     """Runs in a thread of its own, from entering to leaving it as a context. Raises InputError for addresses.
 
-    `counts`: connections, refused (nobody listened behind the relay), stalled, cut, corrupted (chunks), bytes.
+    `counts`: connections, refused (nobody listened behind the relay), stalled, cut, corrupted (chunks), bytes; of
+    these bytes.forth, of who connected, and bytes.back.
     """
 
     def __init__(self, to: str, mishaps: Mishaps = HARMLESS, seed: int = 0, listen: str = f"{LOOPBACK}:0") -> None:
@@ -171,7 +172,8 @@ class Relay:
         work = [self._befall(fate, passing)] if fate.kind != "none" else []
         for side, (reader, writer) in enumerate(ways):
             rng, queue = np.random.default_rng((self.seed, number, side)), asyncio.Queue[_Due](WAITING_CHUNKS)
-            work += [self._read(reader, queue, rng, passing), self._write(queue, writer)]
+            counted = ("bytes", ("bytes.forth", "bytes.back")[side])
+            work += [self._read(reader, queue, rng, passing, counted), self._write(queue, writer)]
         tasks = [asyncio.ensure_future(each) for each in work]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -194,7 +196,12 @@ class Relay:
             await _sleep(inf)
 
     async def _read(
-        self, reader: asyncio.StreamReader, queue: asyncio.Queue[_Due], rng: np.random.Generator, passing: asyncio.Event
+        self,
+        reader: asyncio.StreamReader,
+        queue: asyncio.Queue[_Due],
+        rng: np.random.Generator,
+        passing: asyncio.Event,
+        counted: Sequence[str],
     ) -> None:
         loop, free_s = asyncio.get_running_loop(), 0.0
         while chunk := await reader.read(CHUNK):
@@ -203,7 +210,8 @@ class Relay:
             if damaged < self.mishaps.corruption:
                 self.counts["corrupted"] += 1
                 chunk = flipped(chunk, int(bit * 8 * len(chunk)))
-            self.counts["bytes"] += len(chunk)
+            for name in counted:
+                self.counts[name] += len(chunk)
             free_s = max(free_s, loop.time()) + len(chunk) / self.mishaps.bytes_per_s
             await _sleep(free_s - loop.time())
             await queue.put((free_s + self.mishaps.delay_s + jitter * self.mishaps.jitter_s, chunk))

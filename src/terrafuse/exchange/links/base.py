@@ -21,6 +21,9 @@ A topic is what a message is about, then whom it is from or for, parts divided b
 | `tiles/CHANNEL/ROBOT/NODE` | digests of this robot's tiles, as this node holds them | whoever holds others |
 | `post/NODE/SENDER` | the newest message of its kind to this node | that node |
 
+A carrier whose frames cost more than their payload says so: `overhead_bytes(topic, payload_bytes)`, all told, for who
+keeps to a budget. One without that method costs nothing more.
+
 Who sent a frame stands in its topic or payload. A carrier that knows credentials binds them to topics: it refuses what
 a node may not send there. Which frame is worth more is not the link's affair: what comes first is sent first.
 """
@@ -28,6 +31,7 @@ a node may not send there. Which frame is worth more is not the link's affair: w
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 from terrafuse.errors import InputError
@@ -72,6 +76,16 @@ class Link(Protocol):
 
     def close(self) -> None:
         """Leave. Frames that have not arrived are lost. Closing twice is harmless; a closed link receives nothing."""
+
+
+def overhead_of(link: Link) -> Callable[[str, int], int]:
+    """What a frame of this topic and of so many bytes of payload costs beyond that, by what the link says."""
+    said: Callable[[str, int], int] = getattr(link, "overhead_bytes", _nothing)
+    return said
+
+
+def _nothing(topic: str, payload_bytes: int) -> int:
+    return 0
 
 
 def check_topic(topic: str) -> None:

@@ -9,7 +9,7 @@ from itertools import count
 import numpy as np
 
 from terrafuse.errors import InputError
-from terrafuse.exchange.links.base import Frame, Link, check_frame, closed
+from terrafuse.exchange.links.base import Frame, Link, check_frame, closed, overhead_of
 from terrafuse.exchange.links.faults import FATES, PERFECT, Faults, Queue, disturbed
 
 
@@ -39,6 +39,9 @@ class MisbehavingLink:
     @property
     def max_frame_bytes(self) -> int:
         return self._link.max_frame_bytes
+
+    def overhead_bytes(self, topic: str, payload_bytes: int) -> int:
+        return overhead_of(self._link)(topic, payload_bytes)
 
     def listen(self, topic: str) -> None:
         self._link.listen(topic)

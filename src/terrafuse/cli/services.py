@@ -503,7 +503,7 @@ def _progress(node: Node) -> str:
     of = "" if source.get("records") is None else f" of {source['records']}"
     lacks = sum(n for by in exchange.get("behind", {}).values() for robots in by.values() for n in robots.values())
     reached = "in reach" if set(exchange.get("stations", [])) <= set(exchange.get("peers", [])) else "not in reach"
-    left = f"lacks {lacks} pieces of it" if lacks else "has what was told"
+    left = f"lacks {lacks} {'piece' if lacks == 1 else 'pieces'} of it" if lacks else "has what was told"
     again = mapping.get("rebuilding")
     anew = "" if again is None else f", {again} of them to be mapped anew by corrected poses"
     return f"{mapping.get('scans', 0)}{of} scans mapped{anew}; the station {left}, and is {reached}"
@@ -576,7 +576,8 @@ def _watch(asking: Any) -> None:
 def _print_table(entries: Sequence[Entry]) -> None:
     from rich.console import Console
 
-    Console().print(_table(entries))
+    console = Console()
+    console.print(_table(entries), width=console.width if console.is_terminal else FILE_COLUMNS)
 
 
 def _table(entries: Sequence[Entry]) -> Any:
@@ -584,15 +585,19 @@ def _table(entries: Sequence[Entry]) -> Any:
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in ("service", "contract", "health", "restarts", "state"):
-        table.add_column(column, overflow="fold", no_wrap=column in ("service", "contract", "health"))
+    for column in ("service", "health", "state"):
+        table.add_column(column, no_wrap=column != "state")
     for entry in entries:
         for status in entry.services:
             health = f"{_gone(entry)} {entry.age_s:.0f} s ago" if entry.lost else status.health
-            reason = f"\n{status.reason}" if status.reason else ""
-            name, contract = f"{entry.node}/{status.name}", status.contract.removeprefix("terrafuse/")
-            table.add_row(name, contract, health, f"{status.restarts}{reason}", _short(status.state))
+            again = f"started again {_times(status.restarts)}" if status.restarts else ""
+            words = [word for word in (again, status.reason, _short(status.state)) if word]
+            table.add_row(f"{entry.node}/{status.name}", health, "; ".join(words))
     return table
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
 
 
 def _gone(entry: Entry) -> str:
@@ -600,6 +605,8 @@ def _gone(entry: Entry) -> str:
     return "left" if any(status.state.get("level") for status in entry.services) else "lost"
 
 
+FILE_COLUMNS = 160
+"""Of the table, where no terminal says how many there are."""
 SHOWN = (
     "scans",
     "revision",

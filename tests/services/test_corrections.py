@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from math import radians
 from pathlib import Path
 
@@ -12,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terrafuse.errors import InputError, StoreError
+from terrafuse.errors import InputError, StoreError, StoreMismatch
 from terrafuse.exchange.corrections import (
     ALWAYS_NS,
     CORRECTION,
@@ -33,6 +35,7 @@ from terrafuse.replica import Replica
 from terrafuse.services.book import Book
 from terrafuse.services.node import make_node
 from terrafuse.services.rebuild import Bases, Basis, changes
+from terrafuse.services.run import run
 from terrafuse.services.settings import FleetSettings
 from terrafuse.store.base import newest, sparse
 from terrafuse.store.memory import MemoryStore
@@ -191,17 +194,18 @@ class Fleet:
 
 def post(hub: MemoryHub, *some: Sequence[Correction], done: Callable[[], bool]) -> None:
     """As the station, of which there is none yet."""
-    station = Courier(hub.link("station"), peers=["r1"])
-    deadline = time.monotonic() + 60
-    for corrections in some:
-        station.post("r1", CORRECTION, encode_corrections(corrections))
-        for _ in range(30):
+    with closing(hub.link("station")) as link:
+        station = Courier(link, peers=["r1"])
+        deadline = time.monotonic() + 60
+        for corrections in some:
+            station.post("r1", CORRECTION, encode_corrections(corrections))
+            for _ in range(30):
+                station.tick(time.time_ns())
+                time.sleep(0.02)
+        while not done():
+            assert time.monotonic() < deadline
             station.tick(time.time_ns())
             time.sleep(0.02)
-    while not done():
-        assert time.monotonic() < deadline
-        station.tick(time.time_ns())
-        time.sleep(0.02)
 
 
 @pytest.mark.parametrize("model", ["elevation", "occupancy"])
@@ -305,6 +309,57 @@ def test_who_is_no_station_corrects_nothing(tmp_path: Path) -> None:
         fleet.until(lambda: other.tick(time.time_ns()) or fleet.nodes["r1"].done)
         assert "corrections" not in fleet.state("r1", "exchange")
         assert not (tmp_path / "r1.corrections").exists()
+
+
+def far(id_: str, issued_ns: int, east_m: float = 1e8) -> Correction:
+    return Correction(id_, issued_ns, 0, ALWAYS_NS, flat(east_m, 0.0, 0.0))
+
+
+def test_a_correction_has_bounds() -> None:
+    encode_corrections([far("farthest", 1)])
+    for motion in (flat(1.1e8, 0.0, 0.0), flat(1e300, 0.0, 0.0), flat(0.0, 0.0, 0.0, -2e8)):
+        with pytest.raises(InputError, match=r"correction 'c': moves by .* m; 1e\+08 at most"):
+            encode_corrections([Correction("c", 1, 0, ALWAYS_NS, motion)])
+
+
+@pytest.mark.parametrize("mapped", [True, False])
+def test_what_no_map_can_be_made_by_is_taken_back(tmp_path: Path, mapped: bool) -> None:
+    """150 shifts, each a good one: 1.5e10 m are beyond 2^40 cells of 1 cm. Whether or not it had a map before, it
+    keeps what it had, says why, is started again, and hears of what takes one back, all of them here."""
+    settings = settings_of({"r1": Path(drive(tmp_path / "log"))}, tmp_path, resolution_m=0.01, tile_m=2.0)
+    expected = mapped_at_once(settings, tmp_path)
+    if mapped:
+        with Fleet(settings) as fleet:
+            fleet.level("r1")
+    some = [far(f"far {k}", k) for k in range(150)]
+    with Fleet(settings.model_copy(update={"station": None, "stations": ("station",)})) as fleet:
+        post(fleet.hub, some, done=lambda: bool(fleet.state("r1", "mapping").get("trouble")))
+        assert "corrections 'far 0', 'far 1'" in fleet.state("r1", "mapping")["trouble"]
+        assert not fleet.nodes["r1"].done
+    with Fleet(settings) as fleet:
+        fleet.until(lambda: bool(fleet.state("r1", "mapping").get("trouble")))
+        if mapped:
+            assert digest(tmp_path / "station.db") == digest(tmp_path / "r1.db") == expected
+        fleet.stop("station")
+        back = [far(one.id, 100 + k, 0.0) for k, one in enumerate(some)]
+        post(fleet.hub, back, done=lambda: fleet.state("r1", "mapping").get("trouble") == "")
+        fleet.nodes["station"] = fleet.make("station")
+        fleet.level("r1")
+    assert digest(tmp_path / "station.db") == digest(tmp_path / "r1.db") == expected
+
+
+def test_a_damaged_file_beside_the_store_ends_the_node(tmp_path: Path) -> None:
+    """Starting its services again could not help."""
+    settings = settings_of({"r1": Path(drive(tmp_path / "log"))}, tmp_path)
+    for node, file in {"r1": "r1.corrections", "station": "station.corrections"}.items():
+        (tmp_path / file).write_bytes(b"else")
+        made = make_node(settings, node, lambda name: lambda: MemoryHub().link(name))
+        with pytest.raises(StoreMismatch, match=f"{file}: holds no corrections .* delete it, and give them again"):
+            run([made], threading.Event())
+        (tmp_path / file).unlink()
+    (tmp_path / "r1.bases").write_bytes(b"else")
+    with pytest.raises(StoreMismatch, match=r"r1.bases: does not say .* delete both, and the log is mapped anew"):
+        Bases(tmp_path / "r1.bases").of(7)
 
 
 # --- real processes --------------------------------------------------------------------------------------------------

@@ -29,6 +29,10 @@ CORRECTION = "correction"
 MOST = 256
 """Of them a robot may have; they fit a post."""
 MOST_ID = 64
+MOST_SHIFT_M = 1e7
+"""That a correction is said to move poses."""
+MOST_MOTION_M = 1e8
+"""That its motion's translation may be: more, as a turn about a far place has it, which UTM's origin is."""
 ALWAYS_NS = 2**63 - 1
 """`until_ns` of what holds from then on."""
 
@@ -131,6 +135,8 @@ def _flaw(some: Corrections) -> str | None:
             return f"correction {one.id!r}: an id has 1 to {MOST_ID} printable characters"
         if not (0 <= one.issued_ns < 2**63 and 0 <= one.from_ns < one.until_ns < 2**63):
             return f"correction '{one.id}': from {one.from_ns} until {one.until_ns} ns is no time"
+        if not np.all(np.abs(one.T_new_old.position) <= MOST_MOTION_M):
+            return f"correction '{one.id}': moves by {one.T_new_old.position.tolist()} m; {MOST_MOTION_M:g} at most"
     return None
 
 

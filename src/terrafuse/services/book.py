@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from terrafuse.errors import CodecError, InputError, StoreError
+from terrafuse.errors import CodecError, InputError, StoreMismatch
 from terrafuse.exchange.corrections import (
     Correction,
     Corrections,
@@ -66,7 +66,10 @@ _decode = msgspec.msgpack.Decoder(dict[str, bytes]).decode
 
 
 class Book:
-    """By robot. Read when it is made; what is added is on disk before anything else happens."""
+    """By robot. Read when it is made; what is added is on disk before anything else happens.
+
+    Raises StoreMismatch for a file that is damaged.
+    """
 
     def __init__(self, file: Path) -> None:
         self._file = file
@@ -74,8 +77,8 @@ class Book:
         if file.exists():
             try:
                 self._held = {robot: decode_corrections(some) for robot, some in _decode(file.read_bytes()).items()}
-            except (ValueError, CodecError) as error:
-                raise StoreError(
+            except (OSError, ValueError, CodecError) as error:
+                raise StoreMismatch(
                     f"{file}: holds no corrections of poses ({error}); delete it, and give them again"
                 ) from error
 

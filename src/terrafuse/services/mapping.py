@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from terrafuse.errors import InputError
+from terrafuse.errors import InputError, OutputError, StoreError
 from terrafuse.exchange.coarse import CoarseContribution
 from terrafuse.exchange.corrections import Corrections, fingerprint
 from terrafuse.mapper import Mapper
@@ -31,7 +31,8 @@ class Mapping(Service):
     """Takes scans from a port into the robot's map, and that to `archive`, from where the exchange has it.
 
     `beside`: the archive's file, which the corrections that hold are kept beside; where the map is not by those, it is
-    made anew (`services.rebuild`), at once. `begin` is called when the source has to give something again.
+    made anew (`services.rebuild`), at once. If that fails, the map before stays as it is, `trouble` says why, and it
+    waits for other corrections. `begin` is called when the source has to give something again.
 
     Started afresh, it goes on after the last scan that the archive holds, as `terrafuse map` does. A map that failed in
     the middle of a scan is thrown away.
@@ -57,6 +58,9 @@ class Mapping(Service):
         self._bases = Bases(beside.with_suffix(".bases"))
         self._rebuild: Rebuild | None = None
         self._corrections: Corrections = ()
+        self._failed: Corrections | None = None
+        """Those by which no map could be made; until others hold, nothing is mapped."""
+        self._trouble = ""
         self._looked = -1
         self._commit_ns = 0
         self._dropped: Counter[str] = Counter()
@@ -74,15 +78,19 @@ class Mapping(Service):
         """`commit`; `correct`: look at the corrections that hold."""
         if message.kind == "correct":
             self._look_at_corrections()
-        elif self._rebuild is None:
+        elif self._rebuild is None and self._failed is None:
             self._commit()
 
     def tick(self, now_ns: int) -> float:
+        if self._failed is not None:
+            return WAIT_S
         if self._rebuild is not None and self._rebuild.left <= 0:
             self._replace(self._rebuild)
         scan = self._port.take()
         if scan is not None:
             self._integrate(scan)
+        if self._failed is not None:
+            return WAIT_S
         ended = scan is None and self._port.ended
         if ended and self._rebuild is not None:
             self._replace(self._rebuild)
@@ -104,6 +112,7 @@ class Mapping(Service):
             "scans": mapper.revision - self._basis.base,
             "corrections": len(self._corrections),
             "rebuilding": None if self._rebuild is None else self._rebuild.left,
+            "trouble": self._trouble,
             "committed": self._committed,
             "resumed_scans": self._resumed,
             "tiles": len(mapper.keys),
@@ -115,13 +124,13 @@ class Mapping(Service):
         }
 
     def leave(self) -> None:
-        if not self.done and self._rebuild is None:
+        if not self.done and self._rebuild is None and self._failed is None:
             self._commit()
 
     def close(self) -> None:
         if self._rebuild is not None:
             self._rebuild.close()
-        elif not self.done:
+        elif not self.done and self._failed is None:
             self._archive.close()
 
     def _go_on(self) -> None:
@@ -145,7 +154,8 @@ class Mapping(Service):
         """Make the map anew, if it is not by those that hold."""
         self._looked = self._handover.corrected
         corrections = Book(self._beside.with_suffix(".corrections")).of(self._robot)
-        by = self._basis.corrections if self._rebuild is None else fingerprint(self._rebuild.corrections)
+        tried = self._failed if self._rebuild is None else self._rebuild.corrections
+        by = self._basis.corrections if tried is None else fingerprint(tried)
         self._corrections = corrections
         if fingerprint(corrections) == by:
             if self.done:
@@ -153,9 +163,10 @@ class Mapping(Service):
             return
         if self._rebuild is not None:
             self._rebuild.close()
-        elif not self.done:
+        elif not self.done and self._failed is None:
             self._commit()
             self._archive.close()
+        self._failed, self._trouble = None, ""
         scans = self._store.revision(self._robot) - self._basis.base
         self._handover.committed.clear()
         self.done = False
@@ -170,10 +181,25 @@ class Mapping(Service):
         self._rebuild = None
         self._go_on()
 
+    def _give_up(self, corrections: Corrections, by: str, error: InputError) -> None:
+        """A scan can't be mapped where these say that it was taken: keep what is on disk until others hold."""
+        (self._archive if self._rebuild is None else self._rebuild).close()
+        self._rebuild, self._failed = None, corrections
+        self.counts["gave_up"] += 1
+        self._trouble = (
+            f"no map can be made by the corrections {by or 'that are left'} ({error}); the map before is kept: "
+            f"take one back (terrafuse correct {self._robot} --id ID)"
+        )
+
     def _integrate(self, scan: Scan) -> None:
         try:
             done = (self._rebuild or self.mapper).integrate(scan)
         except InputError as error:
+            some = self._corrections if self._rebuild is None else self._rebuild.corrections
+            by = ", ".join(f"'{one.id}'" for one in some if one.from_ns <= scan.stamp_ns < one.until_ns)
+            if (by or self._rebuild is not None) and not isinstance(error, OutputError | StoreError):
+                self._give_up(some, by, error)
+                return
             raise InputError(f"{self.mapper.robot}: {self._run.logs[self.mapper.robot].path}: {error}") from error
         self._place_m = [round(metres, 3) for metres in scan.T_world_sensor.position.tolist()]
         self._scans += 1

@@ -73,6 +73,8 @@ class Track:
     def add(self, scan: Scan) -> None:
         """A scan in the map's frame was taken there."""
         east, north, up = (float(metres) for metres in scan.T_world_sensor.position)
+        if not all(abs(metres) < FARTHEST_M for metres in (east, north, up)):
+            return  # nobody would take it
         self.latest = Place(scan.stamp_ns, round(east, 2), round(north, 2), round(up, 2))
         with self._lock:
             if not self._places_m or _apart_m(self._places_m[-1], (east, north)) >= self._spacing_m:

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from terrafuse.errors import StoreMismatch
 from terrafuse.exchange.corrections import Corrections, fingerprint
 from terrafuse.exchange.delta import Delta, TileCells
 from terrafuse.exchange.erased import erased, erasing
@@ -61,7 +62,14 @@ class Bases:
 
     def _read(self) -> list[Basis]:
         with suppress(FileNotFoundError):
-            return [Basis(*one) for one in json.loads(self._file.read_bytes())]
+            try:
+                return [Basis(int(base), str(by)) for base, by in json.loads(self._file.read_bytes())]
+            except (OSError, ValueError, TypeError) as error:
+                if not isinstance(error, FileNotFoundError):
+                    raise StoreMismatch(
+                        f"{self._file}: does not say by which corrections the map beside it is made ({error}); "
+                        "restore a copy, or delete both, and the log is mapped anew"
+                    ) from error
         return []
 
 

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from terrafuse.cli import correcting
 from terrafuse.errors import InputError, StoreError, StoreMismatch
 from terrafuse.exchange.corrections import (
     ALWAYS_NS,
@@ -33,9 +34,11 @@ from terrafuse.lattice import Lattice
 from terrafuse.models import make_model
 from terrafuse.replica import Replica
 from terrafuse.services.book import Book
+from terrafuse.services.directory import Entry
 from terrafuse.services.node import make_node
 from terrafuse.services.rebuild import Bases, Basis, changes
 from terrafuse.services.run import run
+from terrafuse.services.service import Status
 from terrafuse.services.settings import FleetSettings
 from terrafuse.store.base import newest, sparse
 from terrafuse.store.memory import MemoryStore
@@ -148,6 +151,55 @@ def test_what_is_erased() -> None:
     tile.cells["n"][0] = 1
     assert erased(tile.cells).tolist() == [False, True]
     assert not erased(np.zeros(2, cell)).any()
+
+
+# --- what the command takes ------------------------------------------------------------------------------------------
+
+
+def test_what_can_be_no_correction_is_told_by_option() -> None:
+    for words, why in {
+        ("a/b", (1.0, 0.0, 0.0), 0.0, None, None): "'a/b' can't be a node's name",
+        ("r1", (0.0, 0.0, 0.0), 0.0, None, None): "this corrects nothing",
+        ("r1", (0.0, -1e8, 0.0), 0.0, None, None): r"--shift-north -1e\+08: give metres, 1e\+07 at most",
+        ("r1", (0.0, 0.0, 0.0), 1e300, None, None): r"--turn-deg 1e\+300: give degrees, 360 at most",
+        ("r1", (0.0, 0.0, 0.0), 5.0, "1e9,0", None): "--about 1e9,0: give metres",
+        ("r1", (1.0, 0.0, 0.0), 0.0, None, "x" * 65): "--id 'x+': give 1 to 64",
+    }.items():
+        with pytest.raises(InputError, match=why):
+            correcting.checked(*words)
+    assert (
+        correcting.checked("r1", (0.0, 0.0, 0.0), 0.0, None, "s").motion(known()).matrix.tolist() == np.eye(4).tolist()
+    )
+
+
+def known(crs: str | None = None, robot: str = "r1") -> correcting.Known:
+    """By a station that holds r1's map, and has r2 in reach."""
+    manager = {"channels": {"fine": {"r1": 7}}, "peers": ["r2"], "map": {"crs": crs}}
+    place = {"place_m": [500000.0, 5000000.0, 3.0]}
+    entries = [
+        Entry("station", 1, 2, 0.0, False, [Status("map-manager", "", "running", 0, state=manager)]),
+        Entry("r1", 1, 2, 0.0, False, [Status("mapping", "", "running", 0, state=place)]),
+    ]
+    return correcting.look_up(entries, "station", robot)
+
+
+def test_a_turn_in_a_crs_is_about_a_place_that_is_said() -> None:
+    """A degree about an origin 5,000 km away would move the robot by 87 km."""
+    turn = correcting.checked("r1", (0.0, 0.0, 0.0), 1.0, None, None)
+    with pytest.raises(InputError, match=r"in a map of EPSG:32632: .* --about E,N; 'r1' was last at 500000,5000000$"):
+        turn.motion(known("EPSG:32632"))
+    assert turn.turned == " (1° about 0,0)"
+    assert np.allclose(turn.motion(known()).position, 0.0)
+    here = correcting.checked("r1", (0.0, 0.0, 0.0), 1.0, "500000,5000000", None)
+    at = Pose.identity().shifted(500000.0, 5000000.0)
+    assert np.allclose((here.motion(known("EPSG:32632")) @ at).position, at.position)
+
+
+def test_what_the_station_knows_of_a_robot() -> None:
+    assert (known().reached, known().warning) == (False, "")
+    assert known().tells == "will tell 'r1', which is not there now"
+    assert known(robot="r2").tells == "tells 'r2'"
+    assert known(robot="r9").warning == "'station' has never heard of 'r9'; is the name right?"
 
 
 # --- robots ----------------------------------------------------------------------------------------------------------
@@ -378,7 +430,8 @@ def test_corrected_by_command_and_killed_on_the_way(tmp_path: Path) -> None:
         fleet.until(lambda: answers(port), "that the station listens")
         turned = terrafuse(*correct, "--turn-deg", "30", "--about", "4,2", "--since", "5", "--until", "9", "--id", "t")
         assert turned.code == 0, turned.err
-        assert turned.json == {"robot": "r1", "id": "t", "corrections": 1}
+        assert turned.json == {"robot": "r1", "id": "t", "corrections": 1, "reached": False}
+        assert "'station' has never heard of 'r1'; is the name right?" in turned.err
         fleet.kill("station")
         fleet.again("station")
         fleet.start("r1", "robot", "r1", *where, "--source", log, "--realtime", *options)
@@ -388,7 +441,8 @@ def test_corrected_by_command_and_killed_on_the_way(tmp_path: Path) -> None:
         for _ in range(2):
             shifted = terrafuse(*correct, *shift, "--id", "s")
             assert shifted.code == 0, shifted.err
-            assert shifted.json["corrections"] == 2
+            assert shifted.json == {"robot": "r1", "id": "s", "corrections": 2, "reached": True}
+            assert "warning" not in shifted.err
         fleet.until(lambda: len(Book(tmp_path / "r1.corrections").of("r1")) == 2, "that r1 takes the second")
         fleet.kill("r1")
         fleet.start("r1", "robot", "r1", *where, "--source", log, *options)
@@ -402,6 +456,8 @@ def test_corrected_by_command_and_killed_on_the_way(tmp_path: Path) -> None:
             ("--since", "yesterday"): "--since yesterday: give seconds since 1970",
             ("--since", "5", "--until", "4"): "no time between them",
             ("--turn-deg", "nan"): "give finite numbers",
+            ("--shift-east", "1e300"): "--shift-east 1e+300: give metres, 1e+07 at most",
+            (): "this corrects nothing",
         }.items():
             ran = terrafuse("correct", "r1", *where, *words)
             assert ran.code == 2

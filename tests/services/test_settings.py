@@ -9,6 +9,7 @@ import pytest
 from terrafuse.errors import InputError
 from terrafuse.services.carriers import carrier
 from terrafuse.services.settings import chosen, load_fleet
+from tests.program import terrafuse
 
 
 def written(folder: Path, text: str) -> Path:
@@ -23,8 +24,12 @@ def written(folder: Path, text: str) -> Path:
         ("- r1", r"fleet\.yaml:1: holds no keys; give map, link, station"),
         ("map:\n  resolution: 0.2\n", r"fleet\.yaml:2: map\.resolution: extra inputs are not permitted"),
         ("link:\n  kind: pigeon\n", r"fleet\.yaml:2: link\.kind: input should be 'memory' or 'zenoh'"),
-        ("station:\n  name: a/b\n  store: s.db\n", r"fleet\.yaml:2: station\.name: string should match"),
+        (
+            "station:\n  name: a/b\n  store: s.db\n",
+            r"fleet\.yaml:2: station\.name: 'a/b' can't be a node's name: give 1",
+        ),
         ("robots:\n  r1: {source: a.log}\n", r"fleet\.yaml:2: robots\.r1\.store: field required"),
+        ("robots:\n  a/b: {source: a.log, store: r1.db}\n", r"the file: 'a/b' can't be a node's name: give 1 to 64"),
         (
             "station: {name: r1, store: s.db}\nrobots:\n  r1: {source: a.log, store: r1.db}\n",
             "the station and a robot are both called 'r1'",
@@ -53,3 +58,24 @@ def test_a_network_without_keys_must_be_meant(tmp_path: Path) -> None:
     text = "link: {listen: [tcp/127.0.0.1:7447]}\nstation: {store: s.db}\n"
     with pytest.raises(InputError, match="no keys: give --keys FOLDER"):
         carrier(load_fleet(written(tmp_path, text)), print)("station")
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (
+            ["robot", "a/b", "--source", "a.log", "--connect", "tcp/127.0.0.1:7447"],
+            "error: 'a/b' can't be a node's name",
+        ),
+        (
+            ["station", "--store", "s.db", "--listen", "tcp/127.0.0.1:7447", "--area", "0,0,1,1"],
+            "error: an area of interest is for the map of a station above",
+        ),
+        (["station", "--store", "s.db", "--listen", "x", "--name", "a/b"], "error: 'a/b' can't be a node's name"),
+    ],
+)
+def test_wrong_options(tmp_path: Path, words: list[str], says: str) -> None:
+    ran = terrafuse(*words, "--insecure", cwd=tmp_path)
+    assert ran.code == 2
+    assert ran.err.startswith(says)
+    assert not list(tmp_path.iterdir())

@@ -163,8 +163,9 @@ def robot(
     Stopped before that (Ctrl-C, SIGTERM, a crash), what it had is in its store; the same command goes on from there.
     """
     from terrafuse.errors import InputError
-    from terrafuse.services.settings import LinkPart, RobotPart
+    from terrafuse.services.settings import LinkPart, RobotPart, checked_name
 
+    checked_name(name)
     if not (connect or listen):
         raise InputError("give --connect ADDRESS, of the station or of a robot, or --listen ADDRESS for other robots")
     if share not in (None, "coarse", "fine", "none"):
@@ -323,7 +324,8 @@ def correct(
         float, typer.Option(metavar="DEGREES", help="Turn them before that, counterclockwise, about --about.")
     ] = 0.0,
     about: Annotated[
-        str | None, typer.Option(metavar="E,N", help="About which place, metres.  [default: the map's origin]")
+        str | None,
+        typer.Option(metavar="E,N", help="About which place, metres.  [default: the map's origin, of a local frame]"),
     ] = None,
     since: Annotated[
         str | None, typer.Option(metavar="TIME", help="From then on: seconds since 1970, or 2026-05-03T10:15:00.")
@@ -344,25 +346,26 @@ def correct(
     station keeps them until the robot is there; the robot keeps them as long as its map.
     """
     import secrets
-    from math import isfinite, radians
 
+    from terrafuse.cli import correcting
     from terrafuse.errors import InputError
-    from terrafuse.exchange.corrections import Correction, flat
+    from terrafuse.exchange.corrections import Correction
 
-    place = arguments.numbers("--about", about, "EAST,NORTH") or (0.0, 0.0)
-    if not all(map(isfinite, (shift_east, shift_north, shift_up, turn_deg))):
-        raise InputError("--shift-east, --shift-north, --shift-up, --turn-deg: give finite numbers")
-    motion = flat(shift_east, shift_north, radians(turn_deg), shift_up, (place[0], place[1]))
     from_ns, until_ns = _stamp("--since", since, 0), _stamp("--until", until, 2**63 - 1)
     if from_ns >= until_ns:
         raise InputError(f"--since {since} --until {until}: there is no time between them")
-    one = Correction(id_ or secrets.token_hex(6), time.time_ns(), from_ns, until_ns, motion)
+    how = correcting.checked(robot, (shift_east, shift_north, shift_up), turn_deg, about, id_)
     with _operator(connect, station_name, name, keys, insecure) as asking:
+        known = correcting.look_up(asking.fleet(), station_name, robot)
+        motion = how.motion(known)
+        one = Correction(id_ or secrets.token_hex(6), time.time_ns(), from_ns, until_ns, motion)
         holds = asking.correct(robot, [one])
+    if known.warning:
+        note(f"warning: {known.warning}")
     if json:
-        say_json({"robot": robot, "id": one.id, "corrections": holds})
+        say_json({"robot": robot, "id": one.id, "corrections": holds, "reached": known.reached})
     else:
-        say(f"correction {one.id}: '{station_name}' has it, and tells '{robot}'; {holds} in all")
+        say(f"correction {one.id}{how.turned}: '{station_name}' has it, and {known.tells}; {holds} in all")
 
 
 def _stamp(option: str, text: str | None, default: int) -> int:
@@ -426,11 +429,12 @@ def _checked_part(kind: Callable[..., Any], **values: Any) -> Any:
     from pydantic import ValidationError
 
     from terrafuse.errors import InputError
+    from terrafuse.services.settings import words_of
 
     try:
         return kind(**values)
     except ValidationError as error:
-        raise InputError(error.errors()[0]["msg"]) from error
+        raise InputError(words_of(error)) from error
 
 
 def _run(settings: FleetSettings, names: Sequence[str], json: bool) -> int:

@@ -6,6 +6,7 @@ over hosts: only which nodes are asked for differs.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -18,7 +19,25 @@ from terrafuse.errors import InputError
 from terrafuse.strict_yaml import Document
 
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
+NAMES = "give 1 to 64 letters, digits, _ . or -, a letter or digit first"
 STATION = "station"
+
+
+def checked_name(name: str) -> str:
+    """A node's name. Raises InputError for what none can have: names are parts of topics and of files' names."""
+    if re.fullmatch(NAME, name) is None:
+        raise InputError(f"'{name}' can't be a node's name: {NAMES}")
+    return name
+
+
+def words_of(error: ValidationError) -> str:
+    """The first fault of a validation, without its library's own words where ours say it."""
+    first = error.errors()[0]
+    if first["type"] == "value_error":
+        return str(first["ctx"]["error"])
+    if first["type"] == "string_pattern_mismatch" and first["ctx"]["pattern"] == NAME:
+        return f"{first['input']!r} can't be a node's name: {NAMES}"
+    return f"{first['msg'][:1].lower()}{first['msg'][1:]}"
 
 
 class Part(BaseModel):
@@ -116,6 +135,8 @@ class FleetSettings(Part):
         if self.station is not None and self.station.name in self.robots:
             raise ValueError(f"the station and a robot are both called '{self.station.name}'; names must differ")
         for name, robot in self.robots.items():
+            if re.fullmatch(NAME, name) is None:
+                raise ValueError(f"'{name}' can't be a node's name: {NAMES}")
             if name in robot.peers:
                 raise ValueError(f"'{name}' is its own peer; name the other robots")
         return self
@@ -153,8 +174,8 @@ def _checked(document: Document) -> FleetSettings:
         return FleetSettings.model_validate(document.value)
     except ValidationError as error:
         first = error.errors()[0]
-        words = f"{first['msg'][:1].lower()}{first['msg'][1:]}"
-        raise document.error(first["loc"], f"{'.'.join(map(str, first['loc'])) or 'the file'}: {words}") from error
+        where = ".".join(map(str, first["loc"])) or "the file"
+        raise document.error(first["loc"], f"{where}: {words_of(error)}") from error
 
 
 def _under(folder: Path, text: str, only_there: bool = False) -> str:

@@ -169,13 +169,46 @@ def test_memory_is_bounded_and_the_longest_idle_goes_first() -> None:
     assert got == []
 
 
-def test_senders_are_bounded_too() -> None:
-    first, _ = frames_of("x", b"0123456789", HEADER_BYTES + 5)
+@pytest.mark.parametrize("count", [300, 1000, 4096])
+def test_messages_of_many_senders_at_once_are_all_completed(count: int) -> None:
+    """Part by part in turn, as over a station's link."""
+    messages = {f"r{k}": str(k).encode() * 30 for k in range(count)}
+    frames = {sender: frames_of(sender, message, HEADER_BYTES + 10) for sender, message in messages.items()}
+    reassembler, got = Reassembler(), {}
+    for part in range(max(map(len, frames.values()))):
+        for sender in frames:
+            if part < len(frames[sender]):
+                taken = reassembler.take(sender, frames[sender][part], part)
+                if taken is not None and taken[1] is not None:
+                    got[sender] = taken[1]
+    assert got == messages
+    assert reassembler.counts == {}
+
+
+def test_senders_are_bounded_and_what_goes_with_them_is_counted() -> None:
+    first, second = frames_of("x", b"0123456789", HEADER_BYTES + 5)
     reassembler = Reassembler(Limits(senders=2))
     for sender in "abc":
         reassembler.take(sender, first, 0)
-    assert not reassembler.finished("a", b"")
-    assert len(reassembler.missing()) == 1
+    assert reassembler.counts == {"messages_forgotten": 1}
+    assert reassembler.take("b", second, 0) == (message_id("x", b"0123456789"), b"0123456789")
+    # Of b nothing is unfinished any more: it goes before c, heard of for longer.
+    reassembler.take("d", first, 0)
+    assert reassembler.take("c", second, 0) == (message_id("x", b"0123456789"), b"0123456789")
+    assert reassembler.counts == {"messages_forgotten": 1}
+
+
+def test_who_floods_displaces_only_its_own() -> None:
+    """Ten parts fit in all; two senders hold one each, and a third sends the first parts of a hundred messages."""
+    limits = Limits(all_bytes=10 * (10 + PART_COST))
+    begun = [frames_of("x", bytes([k]) * 20, HEADER_BYTES + 10) for k in range(102)]
+    reassembler = Reassembler(limits)
+    for sender, k in (("a", 0), ("b", 1), *(("flood", k) for k in range(2, 102))):
+        reassembler.take(sender, begun[k][0], k)
+    assert reassembler.counts == {"messages_forgotten": 92}  # 8 are left of 100
+    assert [reassembler.take(sender, begun[k][1], 102) for sender, k in (("a", 0), ("b", 1), ("flood", 94))] == [
+        (message_id("x", bytes([k]) * 20), bytes([k]) * 20) for k in (0, 1, 94)
+    ]
 
 
 def test_what_stays_unfinished_is_forgotten_with_time() -> None:

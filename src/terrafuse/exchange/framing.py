@@ -60,14 +60,21 @@ def frames_of(topic: str, message: bytes, max_frame_bytes: int) -> list[Frame]:
 
 @dataclass(frozen=True)
 class Limits:
-    """What a reassembler holds at most; what would be more makes it forget the unfinished message idle for longest."""
+    """What a reassembler holds at most; what would be more makes it forget the unfinished message idle for longest.
+
+    Of too much in all, it is that of the sender who holds most: who floods, displaces only its own.
+    """
 
     message_bytes: int = 16 << 20
     unfinished: int = 256
     """Messages of one sender."""
     bytes: int = 32 << 20
     """Of one sender's unfinished messages."""
-    senders: int = 256
+    all_bytes: int = 256 << 20
+    """Of all senders' unfinished messages."""
+    senders: int = 1 << 14
+    """Of which anything is held, or known to be finished; who was heard of least lately goes first, but those with
+    unfinished messages last."""
     idle_s: float = 60.0
     """After so long without a new part, a message is forgotten."""
 
@@ -99,6 +106,7 @@ class Reassembler:
         self.counts: Counter[str] = Counter() if counts is None else counts
         self._limits = limits or Limits()
         self._senders: OrderedDict[str, _Sender] = OrderedDict()
+        self._cost = 0
 
     def take(self, sender: str, frame: Frame, now_ns: int) -> tuple[bytes, bytes | None] | None:
         """(id, message) with the frame that completes it; (id, None) with any other good one; None with a bad one.
@@ -165,20 +173,32 @@ class Reassembler:
     def _sender(self, name: str) -> _Sender:
         own = self._senders.setdefault(name, _Sender())
         self._senders.move_to_end(name)
-        while len(self._senders) > self._limits.senders:
-            self._senders.popitem(last=False)
+        if len(self._senders) > self._limits.senders:
+            others = (one for one in self._senders if one != name)
+            idle = next((one for one in self._senders if one != name and not self._senders[one].unfinished), None)
+            self._leave(next(others) if idle is None else idle)
         return own
+
+    def _leave(self, name: str) -> None:
+        own = self._senders[name]
+        while own.unfinished:
+            self._forget_oldest(own)
+        del self._senders[name]
 
     def _add(self, own: _Sender, id_: bytes, one: _Unfinished, number: int, part: bytes) -> bytes | None:
         if number not in one.held:
             one.held[number] = part
             own.cost += len(part) + PART_COST
+            self._cost += len(part) + PART_COST
         if len(one.held) < one.parts:
             while len(own.unfinished) > self._limits.unfinished or own.cost > self._limits.bytes:
                 self._forget_oldest(own)
+            while self._cost > self._limits.all_bytes:
+                self._forget_oldest(max(self._senders.values(), key=lambda sender: sender.cost))
             return None
         del own.unfinished[id_]
         own.cost -= one.cost
+        self._cost -= one.cost
         message = self._checked(id_, one.topic, b"".join(one.held[k] for k in range(one.parts)))
         if message is not None:
             own.finished[id_] = None
@@ -194,6 +214,7 @@ class Reassembler:
     def _forget_oldest(self, own: _Sender) -> None:
         _, oldest = own.unfinished.popitem(last=False)
         own.cost -= oldest.cost
+        self._cost -= oldest.cost
         self.counts["messages_forgotten"] += 1
 
 

@@ -22,6 +22,7 @@ import numpy as np
 
 from bench.report import parser, tell
 from terrafuse.exchange.coarse import CoarseContribution
+from terrafuse.exchange.codec import encode
 from terrafuse.exchange.courier import Channel, Courier, CourierSettings
 from terrafuse.exchange.delta import Delta
 from terrafuse.exchange.links import Cut, Faults, MemoryHub, MisbehavingLink
@@ -70,8 +71,8 @@ class Robot:
         self._scans, self._next = drive.scans[name], 0
         link = MisbehavingLink(hub.link(name), faults)
         channels = [
-            Channel("coarse", own=self.coarse, project=self._lean),
-            Channel("fine", own=self.mapper, project=self._lean),
+            Channel("coarse", own=self.coarse, project=self.lean),
+            Channel("fine", own=self.mapper, project=self.lean),
         ]
         settings = CourierSettings(bytes_per_s=bytes_per_s, overhead_bytes=OVERHEAD_BYTES)
         self.courier = Courier(link, channels, peers=["station"], settings=settings)
@@ -84,7 +85,7 @@ class Robot:
             self.coarse.update()
         self.courier.tick(now_ns)
 
-    def _lean(self, delta: Delta) -> Delta:
+    def lean(self, delta: Delta) -> Delta:
         return report(delta, "lean", self.mapper.model)
 
 
@@ -114,6 +115,14 @@ class Run:
         }
         return {name: round(_held(store) / max(own[name], 1), 3) for name, store in self.stores.items()}
 
+    def backlog(self) -> int:
+        """Bytes of what the station lacks by now, each robot's of a channel in one delta, worked out from both maps."""
+        return sum(
+            len(encode(robot.lean(source.delta(self.stores[name].revision(robot.mapper.robot)))))
+            for robot in self.robots
+            for name, source in (("coarse", robot.coarse), ("fine", robot.mapper))
+        )
+
     def sent(self) -> int:
         counts = sum((robot.courier.counts for robot in self.robots), start=Counter[str]())
         return sum(number for name, number in counts.items() if name.startswith("bytes_sent"))
@@ -140,14 +149,15 @@ def apart(drive: Drive, bytes_per_s: float) -> dict[str, Any]:
     """Ten minutes without contact, and how long until the station lacks nothing."""
     run = Run(drive, bytes_per_s, Faults(cuts=(Cut(1.0, 1.0 + CUT_S),)))
     run.to(1.0 + CUT_S)
-    before = run.sent()
+    before, backlog = run.sent(), run.backlog() / len(run.robots)
     while any(robot.courier.behind("station") for robot in run.robots):
         run.to(run.now_ns / SECOND_NS + 0.5)
-    backlog = (run.sent() - before) / len(run.robots)
+    sent = (run.sent() - before) / len(run.robots)
     cells = sum(_cells(robot.mapper.delta()) for robot in run.robots) / len(run.robots)
     return {
         "cells a robot mapped": round(cells),
-        "kB a robot had to tell": round(backlog / 1000, 1),
+        "kB a robot had to tell, encoded at once": round(backlog / 1000, 1),
+        "kB it sent": round(sent / 1000, 1),
         "seconds until level": round(run.now_ns / SECOND_NS - 1.0 - CUT_S, 1),
         "backlog / budget, s": round(backlog / bytes_per_s, 1),
     }

@@ -24,6 +24,7 @@ from terrafuse.services.directory import DIRECTORY, Directory
 from terrafuse.services.exchange import EXCHANGE, MAP_MANAGER, About, Exchange, Told
 from terrafuse.services.gate import Gate
 from terrafuse.services.held import Held
+from terrafuse.services.lock import alone
 from terrafuse.services.mapping import Mapping as MappingService
 from terrafuse.services.places import Place
 from terrafuse.services.ports import Handover, Letterbox, ScanPort
@@ -76,16 +77,24 @@ def make_node(settings: FleetSettings, name: str, carrier: Carrier, upstream: Ca
 
     `upstream` makes the station's link to the one above it, if there is one.
     """
-    if settings.station is not None and name == settings.station.name:
-        return station(settings, carrier, upstream)
-    return robot(settings, name, carrier)
+    with ExitStack() as files:
+        if settings.station is not None and name == settings.station.name:
+            node = _station(settings, settings.station, carrier, upstream, files)
+        else:
+            node = _robot(settings, name, carrier, files)
+        node.files = files.pop_all()
+    return node
 
 
-def station(settings: FleetSettings, carrier: Carrier, upstream: Callable[[], Link] | None = None) -> Node:
+def _station(
+    settings: FleetSettings,
+    part: StationPart,
+    carrier: Carrier,
+    upstream: Callable[[], Link] | None,
+    files: ExitStack,
+) -> Node:
     """Map manager, directory, and the mapping orchestration over them; with a station above it, an exchange with it."""
-    part = settings.station
-    assert part is not None
-    files = ExitStack()
+    files.enter_context(alone(Path(part.store)))
     store = files.enter_context(open_map(Path(part.store), settings))
     factor = settings.map.global_factor
     coarse = _coarse_file(files, Path(part.store), store, factor) if factor > 1 else None
@@ -136,7 +145,7 @@ def station(settings: FleetSettings, carrier: Carrier, upstream: Callable[[], Li
         written = letters.forked(part.upstream_name, outgoing)
     specs += _common("terrafuse/mapping-orchestration", lambda: supervisor, part.name, written, above, pace.bytes_per_s)
     supervisor = Supervisor(specs)
-    return Node(part.name, supervisor, None, files)
+    return Node(part.name, supervisor, None)
 
 
 def _uplink(
@@ -174,7 +183,7 @@ def _uplink(
     )
 
 
-def robot(settings: FleetSettings, name: str, carrier: Carrier) -> Node:
+def _robot(settings: FleetSettings, name: str, carrier: Carrier, files: ExitStack) -> Node:
     """Source, mapping, exchange, directory, and the robot orchestration over them.
 
     Two threads: `mapping` has the source and the mapper, `network` all else. They share the archive and the ports.
@@ -182,7 +191,7 @@ def robot(settings: FleetSettings, name: str, carrier: Carrier) -> Node:
     part = settings.robots[name]
     sensors = {} if part.sensor is None else {name: part.sensor}
     run = plan({name: source_text(part.source, name)}, settings.map.model_copy(update={"sensors": sensors}))
-    files = ExitStack()
+    files.enter_context(alone(Path(part.store)))
     archive = files.enter_context(open_partial(Path(part.store), run))
     keep_to(part.precision, Path(part.store), archive)
     project = projection(part.precision, run.model)
@@ -253,7 +262,7 @@ def robot(settings: FleetSettings, name: str, carrier: Carrier) -> Node:
         *_common("terrafuse/robot-orchestration", lambda: supervisor, name, letters, reports_to, pace.bytes_per_s),
     ]
     supervisor = Supervisor(specs)
-    return Node(name, supervisor, EXCHANGE, files)
+    return Node(name, supervisor, EXCHANGE)
 
 
 def _common(

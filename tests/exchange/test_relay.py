@@ -66,7 +66,9 @@ def echoed(address: str, data: bytes) -> bytes:
 def test_all_passes_where_nothing_is_to_go_wrong(echo: str) -> None:
     with Relay(echo) as relay:
         assert [echoed(relay.address, BYTES) for _ in range(3)] == [BYTES] * 3
-        assert relay.counts == {"connections": 3, "bytes": 6 * len(BYTES)}
+        assert relay.counts == {
+            "connections": 3, "bytes": 6 * len(BYTES), "bytes.forth": 3 * len(BYTES), "bytes.back": 3 * len(BYTES)
+        }  # fmt: skip
 
 
 def test_corruption_flips_single_bits(echo: str) -> None:

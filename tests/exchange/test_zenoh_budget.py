@@ -93,3 +93,34 @@ def test_posts_are_in_time_on_a_link_that_is_just_as_fast_as_the_budget() -> Non
     seen = drive(20_000.0, Mishaps(bytes_per_s=20_000.0))
     assert len(seen.late_s) >= 18
     assert max(seen.late_s) < 0.5
+
+
+def test_what_comes_to_a_robot_is_within_the_stations_budget() -> None:
+    """Though the station's router passes on frames beside it: robots hear of others by the station alone."""
+    budget, port, names = 20_000.0, free_port(), ("r1", "r2", "r3")
+    mappers = {name: Mapper(name, LATTICE, MODEL) for name in names}
+    for k, mapper in enumerate(mappers.values()):
+        mapper.integrate(random_scans(k, 1, 60.0, 40_000)[0])
+    held = {name: Replica(LATTICE, MODEL) for name in (*names, "station")}
+    links = [ZenohLink("station", Transport(listen=f"tcp/{LOOPBACK}:{port}", insecure=True))]
+    with Relay(f"{LOOPBACK}:{port}") as one, Relay(f"{LOOPBACK}:{port}") as two, Relay(f"{LOOPBACK}:{port}") as three:
+        relays = dict(zip(names, (one, two, three), strict=True))
+        links += [ZenohLink(name, Transport(connect=f"tcp/{relays[name].address}", insecure=True)) for name in names]
+        couriers = [Courier(links[0], [Channel("fine", held["station"].store, relay=True)], settings=_pace(budget))]
+        for link in links[1:]:
+            channel = Channel("fine", held[link.node].store, mappers[link.node])
+            couriers.append(Courier(link, [channel], peers=["station"], settings=_pace(budget)))
+        seen, begun_s = {name: Seen() for name in names}, time.monotonic()
+        while (now_s := time.monotonic() - begun_s) < LASTS_S:
+            for courier in couriers:
+                courier.tick(time.monotonic_ns())
+            for name in names:
+                seen[name].at_s.append(now_s)
+                seen[name].crossed.append(relays[name].counts["bytes.back"])
+            time.sleep(TICK_S)
+        for link in links:
+            link.close()
+    for name in names:
+        assert seen[name].in_two_seconds().max() <= 1.05 * 2 * budget
+        assert held[name].store.robots() == list(names)
+    assert couriers[0].behind("r1")

@@ -39,6 +39,7 @@ from terrafuse.exchange.herald import Herald
 from terrafuse.exchange.holding import Holding
 from terrafuse.exchange.known import Known
 from terrafuse.exchange.links import Frame, Link
+from terrafuse.exchange.links.base import ANY
 from terrafuse.exchange.lives import Lives
 from terrafuse.exchange.outbox import Outbox
 from terrafuse.exchange.own import Source
@@ -212,8 +213,16 @@ class Courier:
             self._link.listen("summary" + name)
         for channel, holding in self._holdings.items():
             if holding.takes:
-                self._link.listen(f"delta/{channel}")
-                self._link.listen(f"tiles/{channel}")
+                for sender in self._heard:
+                    self._link.listen(f"delta/{channel}{sender}")
+                    self._link.listen(f"tiles/{channel}{sender}")
+
+    @property
+    def _heard(self) -> list[str]:
+        """What topics of contributions end with, from their robot on."""
+        if self._only is None or self.settings.overhears:
+            return [""]
+        return [f"/{ANY}/{name}" for name in sorted(self._only)]
 
     def _take_in(self, frames: Collection[Frame]) -> set[str]:
         """Names of peers who said something new. What this node then says that it holds, or passes on, is there for

@@ -28,6 +28,9 @@ class CourierSettings:
     """That the carrier adds to each frame beside what the link says itself, and the budget counts."""
     summary_share: float = 0.15
     """Of the budget: summaries come less often, and whole ones say less, rather than take more."""
+    overhears: bool = True
+    """Whether contributions that others than its peers send are taken, too. Over a radio they come for nothing; where a
+    station passes all frames on, they would come beside its budget."""
     message_cells: int = 2048
     """Of a tile in which more changed, the oldest revisions come first, in a message of their own (more only where one
     revision has more)."""

@@ -287,9 +287,9 @@ def _common(
 def _pace(bytes_per_s: float | None) -> CourierSettings:
     """Messages wait for each other's acknowledgement: fast links take large ones."""
     if bytes_per_s is None:
-        return CourierSettings(message_cells=MOST_CELLS)
+        return CourierSettings(overhears=False, message_cells=MOST_CELLS)
     cells = min(max(round(bytes_per_s * MESSAGE_S / CELL_BYTES), LEAST_CELLS), MOST_CELLS)
-    return CourierSettings(bytes_per_s=FRAMES_SHARE * bytes_per_s, message_cells=cells)
+    return CourierSettings(bytes_per_s=FRAMES_SHARE * bytes_per_s, overhears=False, message_cells=cells)
 
 
 def open_map(path: Path, settings: FleetSettings) -> SqliteStore:

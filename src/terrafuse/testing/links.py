@@ -47,6 +47,17 @@ class LinkTests:
         got = {name: [frame.payload for frame in node.receive(LATER_NS)] for name, node in nodes.items()}
         assert got == {"a": [], "b": [b"1"], "c": [b"1"], "d": [], "e": []}
 
+    def test_a_part_may_be_any(self, join: Callable[[str], Link]) -> None:
+        sender, some, all_ = join("a"), join("b"), join("c")
+        some.listen("delta/*/a")
+        for topic in ("delta/*/b", "delta", "delta/*/a"):
+            all_.listen(topic)
+        sent = [f"delta/{robot}/{node}" for robot in ("@x", "y") for node in ("a", "b")] + ["delta/a", "delta/y/a/z"]
+        for topic in sent:
+            sender.send(topic, b"1", 0)
+        assert [frame.topic for frame in some.receive(LATER_NS)] == ["delta/@x/a", "delta/y/a", "delta/y/a/z"]
+        assert [frame.topic for frame in all_.receive(LATER_NS)] == sent
+
     def test_who_listens_later_misses_what_was_before(self, join: Callable[[str], Link]) -> None:
         sender, receiver = join("a"), join("b")
         sender.send("x", b"before", 0)

@@ -41,6 +41,9 @@ PART = re.compile(r"[^/*$#?+\x00-\x1f\x7f]+")
 """Of a topic: without what Zenoh or MQTT take for a wildcard."""
 
 
+ANY = "*"
+
+
 class Frame(NamedTuple):
     """What a link carries."""
 
@@ -61,6 +64,9 @@ class Link(Protocol):
 
     def listen(self, topic: str) -> None:
         """From now on, receive frames of this topic and of all topics below it: `delta` takes `delta/r1`, too.
+
+        A part `*` stands for any one part: `delta/*/r1` takes `delta/fine/r1` and what is below. Nothing else crosses
+        to this node, where the carrier can help it.
 
         Listening twice, or to a topic and to one above it, changes nothing: a frame is received once.
         """
@@ -97,6 +103,11 @@ def check_topic(topic: str) -> None:
         )
 
 
+def check_heard(topic: str) -> None:
+    """The same of one that is listened to, whose parts may be `*`."""
+    check_topic("/".join("any" if part == ANY else part for part in topic.split("/")))
+
+
 def check_frame(link: Link, topic: str, payload: bytes) -> None:
     """Raise InputError for what this link can't carry."""
     check_topic(topic)
@@ -112,5 +123,8 @@ def closed(link: Link, topic: str) -> InputError:
 
 
 def covers(topic: str, other: str) -> bool:
-    """Whether who listens to `topic` receives `other`."""
-    return other == topic or other.startswith(topic + "/")
+    """Whether who listens to `topic` receives `other`, or all that who listens to that does."""
+    if ANY not in topic:
+        return other == topic or other.startswith(topic + "/")
+    ours, theirs = topic.split("/"), other.split("/")
+    return len(ours) <= len(theirs) and all(part in (ANY, theirs[k]) for k, part in enumerate(ours))

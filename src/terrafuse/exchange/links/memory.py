@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterable
 
 from terrafuse.errors import InputError
-from terrafuse.exchange.links.base import Frame, check_frame, check_topic, closed, covers
+from terrafuse.exchange.links.base import Frame, check_frame, check_heard, check_topic, closed, covers
 
 MAX_FRAME = 1 << 20
 
@@ -49,7 +49,7 @@ class MemoryLink:
         return self._hub is not None
 
     def listen(self, topic: str) -> None:
-        check_topic(topic)
+        check_heard(topic)
         self._topics.add(topic)
 
     def hears(self, topic: str) -> bool:

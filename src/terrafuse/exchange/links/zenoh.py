@@ -28,7 +28,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from terrafuse.errors import InputError, MissingExtra, TerrafuseError
-from terrafuse.exchange.links.base import Frame, check_frame, check_topic, closed, covers
+from terrafuse.exchange.links.base import Frame, check_frame, check_heard, check_topic, closed, covers
 from terrafuse.exchange.links.presence import Presence
 from terrafuse.exchange.links.reach import diagnosis, listen_trouble
 from terrafuse.exchange.links.sending import SendQueue
@@ -137,7 +137,7 @@ class ZenohLink:
         return message + segment * -(-(payload_bytes + message) // (SEGMENT_BYTES - segment))
 
     def listen(self, topic: str) -> None:
-        check_topic(topic)
+        check_heard(topic)
         with self._lock:
             if any(covers(own, topic) for own in self._wanted):
                 return

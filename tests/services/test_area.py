@@ -6,14 +6,16 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from terrafuse.exchange.area import meets
 from terrafuse.replica import Replica
 from terrafuse.services.node import _area
 from terrafuse.services.places import Place
-from terrafuse.services.settings import FleetSettings, RobotPart
+from terrafuse.services.settings import FleetSettings, RobotPart, StationPart
 from terrafuse.store.sqlite import SqliteStore
 from terrafuse.types import Bounds
+from tests.program import terrafuse
 from tests.services.test_one_process import nodes_of, settings_of
 
 AREA = (0.0, 0.0, 30.0, 30.0)
@@ -27,6 +29,21 @@ def test_an_area_may_go_with_the_robot() -> None:
     both = part.model_copy(update={"area_m": (0.0, 0.0, 1.0, 1.0)})
     assert _area(both)(None) == Bounds(0.0, 0.0, 1.0, 1.0)
     assert _area(both)(here) == Bounds(0.0, 0.0, 15.0, 25.0)
+
+
+@pytest.mark.parametrize("area", [(0, 0, 1e12, 1e12), (0, 0, 1e-9, 1e-9), (5, 5, 1, 9), (1e9, 0, 1e9 + 50, 50)])
+def test_an_area_that_no_robot_can_mean_is_refused(area: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match="sides of 1 m to 100 km"):
+        RobotPart(source="a", store="b", area_m=area)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="sides of 1 m to 100 km"):
+        StationPart(store="b", upstream=("x",), area_m=area)  # type: ignore[arg-type]
+
+
+def test_the_command_says_so(tmp_path: Path) -> None:
+    for option in ("--area", "0,0,1e12,1e12"), ("--area", "0,0,1e-9,1e-9"), ("--area-radius", "1e12"):
+        ran = terrafuse("robot", "r1", "--source", str(tmp_path), "--insecure", "--connect", "tcp/127.0.0.1:1", *option)
+        assert ran.code == 2
+        assert "100 km" in ran.err or "50000" in ran.err
 
 
 def interested(settings: FleetSettings) -> FleetSettings:

@@ -178,11 +178,12 @@ def robot(
         model, resolution, tile, crs, global_factor,
         origin_m=arguments.numbers("--origin", origin, "EAST,NORTH"), window=window,
     )  # fmt: skip
-    part = RobotPart(
+    part = _checked_part(
+        RobotPart,
         listen=tuple(listen or ()), peers=tuple(peer or ()),
         source=source, store=str(_path(store or f"{name}.db")), sensor=sensor, realtime=realtime,
         area_m=arguments.bounds(area, "--area"), area_radius_m=arguments.positive("--area-radius", area_radius),
-        share=share, precision=precision, bytes_per_s=arguments.positive("--budget", budget, "bytes"),  # type: ignore[arg-type]
+        share=share, precision=precision, bytes_per_s=arguments.positive("--budget", budget, "bytes"),
     )  # fmt: skip
     link = _link(connect=tuple(connect or ()), keys=keys, insecure=insecure, kind=LinkPart)
     return _run(_settings(map=about, link=link, stations=(station_name,), robots={name: part}), [name], json)

@@ -9,9 +9,9 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from terrafuse import strict_yaml
 from terrafuse.config import MapSettings, map_settings
@@ -21,6 +21,25 @@ from terrafuse.strict_yaml import Document
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 NAMES = "give 1 to 64 letters, digits, _ . or -, a letter or digit first"
 STATION = "station"
+
+LEAST_SIDE_M, MOST_SIDE_M, FARTHEST_M = 1.0, 100_000.0, 1e8
+"""Of areas of interest. No projection leads farther than 40,000 km."""
+
+
+def checked_area(area: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    """An area of interest: west, south, east, north. Raises ValueError for one that no robot can mean."""
+    west, south, east, north = area
+    near = all(abs(each) <= FARTHEST_M for each in area)
+    if not (near and all(LEAST_SIDE_M <= side <= MOST_SIDE_M for side in (east - west, north - south))):
+        raise ValueError(
+            f"an area of interest of {east - west:g} m by {north - south:g} m from {west:g}, {south:g} on: give west, "
+            f"south, east, north with sides of {LEAST_SIDE_M:g} m to {MOST_SIDE_M / 1000:g} km, within "
+            f"{FARTHEST_M / 1000:g} km of the origin"
+        )
+    return area
+
+
+Area = Annotated[tuple[float, float, float, float], AfterValidator(checked_area)]
 
 
 def checked_name(name: str) -> str:
@@ -86,7 +105,7 @@ class StationPart(Part):
     upstream: tuple[str, ...] = ()
     """Where it finds the station above it; the first that answers."""
     upstream_name: str = Field(STATION, pattern=NAME)
-    area_m: tuple[float, float, float, float] | None = None
+    area_m: Area | None = None
     """West, south, east, north: where it holds the map of the station above."""
 
     @model_validator(mode="after")
@@ -107,9 +126,9 @@ class RobotPart(Part):
     realtime: bool = False
     share: Literal["coarse", "fine", "none"] | None = None
     """Which map of the whole fleet the robot holds; None: the coarse one, where there is one, else the fine one."""
-    area_m: tuple[float, float, float, float] | None = None
+    area_m: Area | None = None
     """West, south, east, north: of interest. The robot then holds the fleet's map there."""
-    area_radius_m: float | None = Field(default=None, gt=0)
+    area_radius_m: float | None = Field(default=None, gt=0, le=MOST_SIDE_M / 2)
     """The same about where it is by now."""
     listen: tuple[str, ...] = ()
     """Where other robots find it."""

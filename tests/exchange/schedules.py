@@ -9,6 +9,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
+from zlib import crc32
 
 import numpy as np
 
@@ -21,7 +23,9 @@ from terrafuse.lattice import Lattice
 from terrafuse.mapper import Mapper
 from terrafuse.models import make_model
 from terrafuse.replica import Replica
+from terrafuse.store.base import Store
 from terrafuse.store.memory import MemoryStore
+from terrafuse.store.sqlite import SqliteStore
 from terrafuse.testing.deltas import random_scans
 
 STEP_NS = 250_000_000
@@ -131,7 +135,7 @@ def schedule_of(seed: int) -> Schedule:
 
 def _shape(rng: np.random.Generator) -> tuple[tuple[str, ...], tuple[str, ...], dict[str, frozenset[str]]]:
     """(robots, stations, whom each hears) of 2 to 6 nodes: a star, a mesh, a chain, or two stars side by side."""
-    count = int(rng.choice([2, 3, 4, 5, 6], p=[0.52, 0.28, 0.12, 0.05, 0.03]))
+    count = int(rng.choice([2, 3, 4, 5, 6], p=[0.4, 0.25, 0.15, 0.1, 0.1]))
     names = tuple(f"r{k}" for k in range(1, count + 1))
     shape = rng.choice(["star", "mesh", "chain", "hierarchy"])
     if shape == "mesh":
@@ -165,12 +169,14 @@ def _restart(rng: np.random.Generator, nodes: Sequence[str]) -> Restart:
 @dataclass
 class Node:
     name: str
-    stores: dict[str, MemoryStore] = field(default_factory=dict)
+    stores: dict[str, Store] = field(default_factory=dict)
     sources: dict[str, Played] = field(default_factory=dict)
     """By channel; none at a station."""
     courier: Courier | None = None
     link: Link | None = None
     lives: int = 0
+    beginnings: int = 0
+    """Lives into which it took nothing of what others told."""
 
     def tick(self, now_ns: int) -> None:
         assert self.courier is not None
@@ -184,9 +190,16 @@ class Node:
 
 
 class Run:
-    """A schedule on its way, over links that misbehave as it says, or those that `join` makes for a name."""
+    """A schedule on its way, over links that misbehave as it says, or those that `join` makes for a name.
 
-    def __init__(self, schedule: Schedule, join: Callable[[str], Link] | None = None) -> None:
+    With a `folder` nodes hold what they do in files there. Who restarts then was killed between two transactions: its
+    files are opened as they lie.
+    """
+
+    def __init__(
+        self, schedule: Schedule, join: Callable[[str], Link] | None = None, folder: Path | None = None
+    ) -> None:
+        self._folder = folder
         self.schedule = schedule
         self.nodes = {name: Node(name) for name in (*schedule.robots, *schedule.stations)}
         self.now_ns = 0
@@ -254,7 +267,10 @@ class Run:
     def _start(self, node: Node, keeps: str, first: int) -> None:
         channels = self.schedule.channels
         if keeps != "everything":
-            node.stores = {channel: MemoryStore(LATTICES[channel], MODEL) for channel in channels}
+            node.beginnings += 1
+            node.stores = {channel: self._store(node, channel) for channel in channels}
+        elif self._folder is not None:
+            node.stores = {channel: SqliteStore.open(self._file(node, channel)) for channel in channels}
         if keeps == "nothing" and node.name in self.schedule.robots:
             made = reports((self.schedule.seed + int(node.name[1:])) % SEQUENCES, first)
             node.sources = {channel: Played(node.name, made[channel]) for channel in channels}
@@ -267,15 +283,25 @@ class Run:
             settings=replace(SETTINGS, bytes_per_s=self.schedule.bytes_per_s),
         )
 
+    def _store(self, node: Node, channel: str) -> Store:
+        """A new one, in place of any before."""
+        if self._folder is None:
+            return MemoryStore(LATTICES[channel], MODEL)
+        return SqliteStore.create(self._file(node, channel), LATTICES[channel], MODEL)
+
+    def _file(self, node: Node, channel: str) -> Path:
+        assert self._folder is not None
+        return self._folder / f"{node.name}.{channel}.{node.beginnings}.db"
+
     def _misbehaving(self, name: str) -> Link:
         faults = replace(self.schedule.faults, cuts=self.schedule.cuts[name])
         heard = Neighbours(self._hub.link(name), self.schedule.ways[name])
-        return MisbehavingLink(heard, faults, self.schedule.seed + 1000 * self.nodes[name].lives + len(name))
+        return MisbehavingLink(heard, faults, [self.schedule.seed, self.nodes[name].lives, crc32(name.encode())])
 
 
-def converges(seed: int, watch: Callable[[Run], None] = lambda run: None) -> bool:
+def converges(seed: int, watch: Callable[[Run], None] = lambda run: None, folder: Path | None = None) -> bool:
     """Whether all replicas of this schedule end with the same bytes."""
-    run = Run(schedule_of(seed))
+    run = Run(schedule_of(seed), folder=folder)
     run.disturb()
     level = run.settle()
     watch(run)

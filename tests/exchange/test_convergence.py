@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from terrafuse.exchange.links import Faults, MemoryHub, MisbehavingLink
@@ -18,6 +20,14 @@ AT_ONCE = 50
 def test_over_links_that_misbehave(first: int) -> None:
     """`make soak` has 20,000 of them."""
     assert [seed for seed in range(first, first + AT_ONCE) if not converges(seed)] == []
+
+
+LASTING = [seed for seed in range(400) if any(each.keeps == "everything" for each in schedule_of(seed).restarts)][:24]
+
+
+@pytest.mark.parametrize("seed", LASTING)
+def test_from_files_of_nodes_that_were_killed(seed: int, tmp_path: Path) -> None:
+    assert converges(seed, folder=tmp_path)
 
 
 @pytest.mark.parametrize("seed", range(10))

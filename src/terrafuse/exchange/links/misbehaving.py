@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter
+from collections.abc import Sequence
 from itertools import count
 
 import numpy as np
@@ -21,7 +22,7 @@ class MisbehavingLink:
     many frames were sent, lost, corrupted, duplicated, reordered, cut (lost in one) and overflowed (lost in the queue).
     """
 
-    def __init__(self, link: Link, faults: Faults = PERFECT, seed: int = 0) -> None:
+    def __init__(self, link: Link, faults: Faults = PERFECT, seed: int | Sequence[int] = 0) -> None:
         self.counts: Counter[str] = Counter()
         self.faults = faults
         self._link = link

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 import time
 from pathlib import Path
@@ -132,6 +133,39 @@ def test_a_robot_of_another_map_is_told(logs: dict[str, Path], tmp_path: Path) -
     nodes = [make_node(settings, "station", carry), make_node(other, "r1", carry)]
     with pytest.raises(InputError, match=r"'station' does not take this robot's map.*0\.4 m.*0\.2 m"):
         finished(nodes)
+
+
+@pytest.mark.parametrize(("robots", "stations"), [(10, 1), (1, 10), (5, 10)])
+def test_a_robot_of_another_coarse_map_is_told(
+    logs: dict[str, Path], tmp_path: Path, robots: int, stations: int
+) -> None:
+    """It would wait for a station to take what that has no map for, or leave its coarse map without a part."""
+    settings, other = (settings_of({"r1": logs["r1"]}, tmp_path, global_factor=n) for n in (stations, robots))
+    carry = carrier(settings, lambda text: None)
+    nodes = [make_node(settings, "station", carry), make_node(other, "r1", carry)]
+    with pytest.raises(InputError, match=f"map: it has --global-factor {robots}, and 'station' {stations}; make them"):
+        finished(nodes)
+
+
+def test_what_is_no_word_of_a_map_is_counted(tmp_path: Path) -> None:
+    settings, hub = settings_of({}, tmp_path), MemoryHub()
+    node = make_node(settings, "station", lambda name: lambda: hub.link(name))
+    map_ = {"model": "elevation", "resolution_m": 0.2, "tile_m": 40.0, "crs": None}
+    more = ({"settings": 5}, {"settings": {}, "global_factor": "10"})
+    wrong = [b"", b"{", b"[]", b"7", b"{}", *(json.dumps({"map": map_, **some}).encode() for some in more)]
+    node.supervisor.start()
+    peers = [Courier(hub.link(f"r{k}"), peers=["station"]) for k in range(len(wrong))]
+    for peer, payload in zip(peers, wrong, strict=True):
+        peer.post("station", "map-manager terrafuse/map-manager/1 join ", payload)
+    deadline = time.monotonic() + 30
+    while node.statuses["map-manager"].counts.get("refused.join", 0) < len(wrong) and time.monotonic() < deadline:
+        for peer in peers:
+            peer.tick(time.time_ns())
+        time.sleep(0.02)
+    status = node.statuses["map-manager"]
+    assert (status.counts.get("refused.join"), status.restarts) == (len(wrong), 0)
+    assert node.supervisor.stop(10)
+    node.close()
 
 
 def test_a_station_keeps_to_its_map(logs: dict[str, Path], tmp_path: Path) -> None:

@@ -42,9 +42,15 @@ class About:
 
     lattice: Lattice
     model: Model
+    global_factor: int = 1
+    """Of the coarse map's cells; 1: there is none."""
 
     def as_json(self) -> dict[str, Any]:
-        return {"map": asdict(map_id(self.model.name, self.lattice)), "settings": self.model.settings()}
+        return {
+            "map": asdict(map_id(self.model.name, self.lattice)),
+            "settings": self.model.settings(),
+            "global_factor": self.global_factor,
+        }
 
 
 def nowhere(place: Place | None) -> Bounds | None:
@@ -320,6 +326,9 @@ class Exchange(Service):
         try:
             theirs = json.loads(message.payload)
             map_, settings = theirs["map"], theirs["settings"]
+            factor = theirs.get("global_factor", self._about.global_factor)  # older ones do not say
+            if not (isinstance(settings, dict) and isinstance(factor, int)):
+                raise TypeError("settings or a factor of another kind")
         except (ValueError, KeyError, TypeError):
             self.counts["refused.join"] += 1
             return
@@ -329,6 +338,12 @@ class Exchange(Service):
             kind, words = (
                 "refuse",
                 f"it works on {_words(map_)}, and '{self._link.node}' on {_words(ours['map'])}; make them equal",
+            )
+            self.counts["refused.join"] += 1
+        elif factor != ours["global_factor"]:
+            kind, words = (
+                "refuse",
+                f"it has --global-factor {factor}, and '{self._link.node}' {ours['global_factor']}; make them equal",
             )
             self.counts["refused.join"] += 1
         elif settings != ours["settings"]:

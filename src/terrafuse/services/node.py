@@ -100,7 +100,7 @@ def _station(
     coarse = _coarse_file(files, Path(part.store), store, factor) if factor > 1 else None
     letters = Letterbox()
     pace = _pace(part.bytes_per_s)
-    about = About(store.map.lattice, store.model)
+    about = About(store.map.lattice, store.model, factor)
 
     maps = {FINE: store} if coarse is None else {COARSE: coarse, FINE: store}
     keys = None if settings.link.keys is None else settings.link.keys.replace("{node}", part.name)
@@ -207,7 +207,7 @@ def _robot(settings: FleetSettings, name: str, carrier: Carrier, files: ExitStac
     pace = _pace(part.bytes_per_s)
     reports_to = part.peers or settings.reported_to
     keys = None if settings.link.keys is None else settings.link.keys.replace("{node}", name)
-    about = About(run.lattice, run.model)
+    about = About(run.lattice, run.model, factor)
     whole = MemoryStore(run.lattice.coarser(factor), run.model) if share == COARSE and factor > 1 else None
 
     def among(channel: Channel) -> Channel:

@@ -103,6 +103,19 @@ def test_no_window_has_more_than_it_earned(sizes: list[int], steps_ms: list[int]
         for end_ns, _ in sent[k:]:
             size = sum(size for at_ns, size in sent if begin_ns <= at_ns <= end_ns)
             assert size <= bytes_per_s * ((end_ns - begin_ns) / 1e9 + 0.4) + 1500
+            if end_ns - begin_ns < 2 * SECOND_NS:
+                assert size <= 1.02 * 2 * bytes_per_s + 1500
+
+
+def test_the_two_seconds_after_a_nap_have_no_more_than_others() -> None:
+    """Half a second's worth at once and 39 steps of 0.05 s' would be 2.45 s' worth: 102 % of two seconds', and a frame."""
+    budget, paid = Budget(1000.0, 0), 0
+    budget.earn(0)
+    for step in range(40):
+        budget.earn(500_000_000 + step * 50_000_000)
+        while budget.left:
+            paid += budget.pay(10)
+    assert 2000 <= paid <= 2050
 
 
 def test_who_slept_does_not_make_up_for_it() -> None:

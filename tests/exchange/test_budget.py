@@ -108,7 +108,7 @@ def test_no_window_has_more_than_it_earned(sizes: list[int], steps_ms: list[int]
 
 
 def test_the_two_seconds_after_a_nap_have_no_more_than_others() -> None:
-    """Half a second's worth at once and 39 steps of 0.05 s' would be 2.45 s' worth: 102 % of two seconds', and a frame."""
+    """Half a second's worth at once and 39 steps' would be 2.45 s' worth; it is 102 % of two seconds', and a frame."""
     budget, paid = Budget(1000.0, 0), 0
     budget.earn(0)
     for step in range(40):

@@ -33,6 +33,8 @@ TICK_S, LONGEST_TICK_S, LEAST_WAIT_S, FOLD_S = 0.02, 0.06, 0.001, 1.0
 BUSY = 3.0
 """Times what a tick took, the next one waits, but only until `LONGEST_TICK_S` after this one began: what comes until
 then is made to last all at once. After one that took longer than that, enough waits."""
+REFUSED_S = 5.0
+"""How long a robot that refused another waits for that to have heard it, before it ends itself."""
 EXCHANGE, MAP_MANAGER = "exchange", "map-manager"
 
 
@@ -155,6 +157,8 @@ class Exchange(Service):
             self._link.close()
             raise
         self._said: dict[str, str] = {}
+        self._refused: dict[str, tuple[int, str]] = {}
+        """Robots among robots that it told why it can't take their maps, and since when."""
         self._now_ns = 0
         self._level_heard: set[str] = set()
         """Robots that have nothing more to come, all of which is here, and hold all of this one's."""
@@ -172,6 +176,9 @@ class Exchange(Service):
             self._fold_ns = now_ns
             self._fold(self._within(areas))
         self._courier.tick(now_ns)
+        for robot, (since_ns, words) in self._refused.items():
+            if now_ns - since_ns > REFUSED_S * SECOND_NS or not self._courier.waiting(robot):
+                raise InputError(f"this robot does not take the map of '{robot}': {words}")
         if self._told is not None and self.stations:
             self._look_whether_done(self._told, now_ns)
         took_s = time.perf_counter() - started_s
@@ -351,6 +358,8 @@ class Exchange(Service):
             words = f"the model's settings differ from the station's: {', '.join(other)}"
         reply = Message(contract_of(EXCHANGE).id, kind, words.encode())
         self._write(Letter(message.sender, EXCHANGE, reply))
+        if kind == "refuse" and self._told is not None and message.sender in self.stations:
+            self._refused.setdefault(message.sender, (self._now_ns, words))
         if self._told is None and self._book is not None and message.sender in self._book.all:
             self._post_corrections(message.sender)  # it may have been away for so long that it was forgotten
 

@@ -27,7 +27,7 @@ setup: $(READY)
 
 # Kernels are compiled with their first use, about a minute in a fresh clone.
 $(COMPILED): $(READY)
-	$(BIN)/terrafuse demo --headless --duration 0.2 --out $(VENV)/demo >/dev/null
+	$(BIN)/terrafuse demo --headless --duration 3 --out $(VENV)/demo >/dev/null
 	@touch $@
 
 demo: $(COMPILED)

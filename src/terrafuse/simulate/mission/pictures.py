@@ -71,8 +71,9 @@ def _written(mission: Mission, tracks: Mapping[str, Floats], out: Path) -> Itera
     bounds, held = views.bounds_of(seen, window), robot_paths(seen)
     paths = {vehicle.name: held[vehicle.name] for vehicle in mission.vehicles if vehicle.name in held}
     fused = Replica(store=mission.store)
-    over = ", over the prior's guesses" if mission.prior is not None else ""
-    write_picture(fused, out / MAP, None, bounds, _some(paths), f"{title}: the robots' maps, fused{over}")
+    guessed = mission.prior is not None
+    whole = "robots' maps over the prior" if guessed else "the robots' maps, fused"
+    write_picture(fused, out / MAP, None, bounds, _some(paths), f"{title}: {whole}")
     yield "map", MAP
     for name in islice(paths, MOST_MAPS):
         own = Replica(store=mission.store, only=[name])
@@ -80,7 +81,8 @@ def _written(mission: Mission, tracks: Mapping[str, Floats], out: Path) -> Itera
         yield f"map of {name}", f"{name}.png"
     station = mission.station.replica
     if views.known_window(station) is not None:
-        write_picture(station, out / GLOBAL, title=f"{title}: the global map at the station{over}")
+        whole = "the station's map over the prior" if guessed else "the global map at the station"
+        write_picture(station, out / GLOBAL, title=f"{title}: {whole}")
         yield "global", GLOBAL
 
 

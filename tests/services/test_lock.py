@@ -64,7 +64,8 @@ def test_processes(tmp_path: Path) -> None:
     port = free_port()
     options = ["--resolution", "0.2", "--insecure"]
     station = ["station", "--store", "s.db", "--listen", f"tcp/127.0.0.1:{port}", *options]
-    robot = ["robot", "r1", "--connect", f"tcp/127.0.0.1:{port}", *options, "--source", drive(tmp_path / "log")]
+    log = drive(tmp_path / "log", scans=120)
+    robot = ["robot", "r1", "--connect", f"tcp/127.0.0.1:{port}", *options, "--source", log]
     with Processes(tmp_path) as fleet:
         fleet.start("station", *station)
         fleet.until(lambda: answers(port), "that the station listens")

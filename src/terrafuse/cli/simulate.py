@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout instead of text.")]
 Threads = Annotated[
     int,
-    typer.Option(min=1, help="That cast rays; the result is the same. More pay where threads wake up quickly."),
+    typer.Option(min=1, help="That cast rays; the result is the same. More may pay where threads wake up quickly."),
 ]
 MOVES_MPS = 0.05
 """A robot that is faster moves."""

@@ -13,7 +13,7 @@ import os
 import sqlite3
 import threading
 import time
-from collections.abc import Hashable, Iterable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -92,6 +92,8 @@ class SqliteStore:
         self._others = -1
         """SQLite's count of what other programs wrote, when `_tops` was found."""
         self._folding: Folding[Where] = Folding(self._fold, f"folding {path.name}")
+        self._folds: dict[Where, _Fold] = {}
+        """That the thread made, to be written with what is accepted next: it never has writers wait for the disk."""
 
     @classmethod
     def create(cls, path: Path, lattice: Lattice, model: Model, notes: Mapping[str, Any] | None = None) -> SqliteStore:
@@ -140,14 +142,16 @@ class SqliteStore:
         return self._model
 
     def close(self) -> None:
-        self._folding.close()
-        with self._lock:
-            self._connection.close()
+        try:
+            self._end_folding()
+        finally:
+            with self._lock:
+                self._connection.close()
 
     def finish(self) -> None:
         """Fold the write-ahead log in for good and close: the file is whole by itself, can be moved, and can be read
         from a folder that can't be written. Raises StoreError while another program has it open."""
-        self._folding.close()
+        self._end_folding()
         with self._lock, _faults(self.file):
             ((mode,),) = self._connection.execute("PRAGMA journal_mode = DELETE").fetchall()
             if mode != "delete":
@@ -197,6 +201,7 @@ class SqliteStore:
             try:
                 if self._connection.in_transaction:
                     self._connection.execute("COMMIT")
+                    self._folds.clear()
             except sqlite3.DatabaseError:
                 if self._connection.in_transaction:
                     self._connection.execute("ROLLBACK")
@@ -223,44 +228,55 @@ class SqliteStore:
             "RETURNING base_cells, tail_cells",
             (*where, *tile.newest, len(tile.at)),
         ).fetchall()
-        if tail > max(2 * base, MIN_TAIL_CELLS):
+        if _is_long(base, tail):
             if self._together:
                 self._folding.put(where)
             else:
-                self._rebase(where, sequence, self._folded(where, self._frames(where)), tail)
+                self._rebase(self._folded(where, self._frames(where), tail))
 
     def _fold(self, where: Where) -> None:
         """Fold a contribution's tail into its base, while others write."""
+        query = f"SELECT base_cells, tail_cells FROM contributions WHERE {PLACE}"
         with self._lock, _faults(self.file):
-            frames, tail = self._frames(where), self._tail_cells(where)
-        folded = self._folded(where, frames)
-        with self._transaction():
-            self._rebase(where, frames[-1].sequence, folded, tail)
+            sizes = self._connection.execute(query, where).fetchone()  # None: it was taken back
+            if sizes is None or where in self._folds or not _is_long(*sizes):
+                return
+            frames = self._frames(where)
+        fold = self._folded(where, frames, sizes[1])
+        with self._lock:
+            self._folds[where] = fold
 
-    def _tail_cells(self, where: Where) -> int:
-        query = f"SELECT tail_cells FROM contributions WHERE {PLACE}"
-        return int(self._connection.execute(query, where).fetchone()[0])
+    def _end_folding(self) -> None:
+        self._folding.close()
+        if self._folds:
+            with self._transaction():
+                pass
 
-    def _folded(self, where: Where, frames: Iterable[_Frame]) -> tuple[int, bytes]:
-        """Count and packed cells."""
+    def _folded(self, where: Where, frames: Sequence[_Frame], tail: int) -> _Fold:
         at, cells = sparse(self._dense(where, frames))
-        return len(at), pack_cells(at, cells)
+        return _Fold(where, frames[-1].sequence, len(at), pack_cells(at, cells), tail)
 
-    def _rebase(self, where: Where, through: int, folded: tuple[int, bytes], tail: int) -> None:
-        count, base = folded
+    def _begin(self) -> None:
+        """What the thread folded comes first: what is then accepted counts on from there."""
+        self._connection.execute("BEGIN IMMEDIATE")
+        for fold in self._folds.values():
+            self._rebase(fold)
+
+    def _rebase(self, fold: _Fold) -> None:
         self._connection.execute(
-            "INSERT OR REPLACE INTO bases VALUES (?, ?, ?, ?, ?, ?, ?)", (*where, through, count, base)
+            "INSERT OR REPLACE INTO bases VALUES (?, ?, ?, ?, ?, ?, ?)",
+            (*fold.where, fold.through, fold.size, fold.packed),
         )
         self._connection.execute(
             f"UPDATE contributions SET base_cells = ?, tail_cells = tail_cells - ? WHERE {PLACE}",
-            (count, tail, *where),
+            (fold.size, fold.tail, *fold.where),
         )
 
-    def _dense(self, where: Where, frames: Iterable[_Frame]) -> Array:
-        """A contribution as (T²,) cells."""
+    def _dense(self, where: Where, frames: Sequence[_Frame]) -> Array:
+        """A contribution as (T²,) cells. The newest frames first: of the older ones most cells need no copy then."""
         side = self._map.lattice.tile_cells
         dense = np.zeros(side * side, self._model.cell)
-        for frame in frames:
+        for frame in reversed(frames):
             newest(dense, *self._unpacked(where, frame))
         return dense
 
@@ -367,13 +383,14 @@ class SqliteStore:
     @contextmanager
     def _whole(self) -> Iterator[None]:
         with self._connection:
-            self._connection.execute("BEGIN IMMEDIATE")
+            self._begin()
             yield
+        self._folds.clear()
 
     @contextmanager
     def _part(self) -> Iterator[None]:
         if not self._connection.in_transaction:
-            self._connection.execute("BEGIN IMMEDIATE")
+            self._begin()
         self._connection.execute("SAVEPOINT one")
         try:
             yield
@@ -406,6 +423,23 @@ class _Frame(NamedTuple):
     """Cells."""
     packed: bytes | None
     message: bytes
+
+
+class _Fold(NamedTuple):
+    """What a contribution's base is to become."""
+
+    where: Where
+    through: int
+    """Which of its history it has in it."""
+    size: int
+    """Cells."""
+    packed: bytes
+    tail: int
+    """Cells that were in its tail."""
+
+
+def _is_long(base_cells: int, tail_cells: int) -> bool:
+    return tail_cells > max(2 * base_cells, MIN_TAIL_CELLS)
 
 
 def _connect(path: Path) -> sqlite3.Connection:

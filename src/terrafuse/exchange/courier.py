@@ -126,6 +126,9 @@ class Courier:
         self._lives = Lives()
         self._born_ns = -1
         self._now_ns = self._report_ns = 0
+        self._near: list[Peer] = []
+        self._near_until_ns = 0
+        """Whom it reaches, and until when nobody of them can have fallen silent."""
         self._listen()
         for name, bringer in self._bringers.items():
             self._outbox.fill(name, bringer.refill)
@@ -148,7 +151,7 @@ class Courier:
             self._report_ns = now_ns + round(self.settings.period_s * SECOND_NS)
             for holding in self._holdings.values():
                 holding.take_own()
-        reached = [] if self.node in self.namesakes else [self._peers[name] for name in self.reached(now_ns)]
+        reached = [] if self.node in self.namesakes else self._reached()
         for peer in reached:
             if peer.posts:
                 self._posts.bring(peer, self._born_ns)
@@ -197,12 +200,19 @@ class Courier:
     @property
     def areas(self) -> list[Bounds]:
         """Of interest to peers that can be reached."""
-        peers = (self._peers[name] for name in self.reached(self._now_ns))
-        return [peer.area for peer in peers if peer.area is not None]
+        return [peer.area for peer in self._reached() if peer.area is not None]
 
     def ask(self, peer: str, question: Question) -> int:
         """Ask a peer; `on_answer` is called with the number that this gives. Raises InputError as `post` does."""
         return self._posts.ask(self._known(peer), question)
+
+    def _reached(self) -> list[Peer]:
+        """As `reached`, by now. A station has a thousand peers: it asks each only when one may have come or gone."""
+        if self._now_ns >= self._near_until_ns:
+            self._near = [self._peers[name] for name in self.reached(self._now_ns)]
+            first_ns = min((peer.heard_ns for peer in self._near), default=self._now_ns)
+            self._near_until_ns = first_ns + round(self.settings.silent_s * SECOND_NS) + 1
+        return self._near
 
     # --- what comes ---------------------------------------------------------------------------------------------------
 
@@ -293,6 +303,8 @@ class Courier:
             peer.said_ns, peer.missing = summary.said_ns, {}
         if summary.said_ns == peer.said_ns:
             peer.missing.update(summary.missing)
+            if peer.heard_ns < self._now_ns - self.settings.silent_s * SECOND_NS:
+                self._near_until_ns = 0
             peer.heard_ns = self._now_ns
         for channel, robots in summary.robots.items():
             if channel in self._holdings:
@@ -340,6 +352,7 @@ class Courier:
         oldest = min(spoke, key=lambda peer: peer.heard_ns, default=None)
         if oldest is not None and oldest.heard_ns + FORGET_S * SECOND_NS < self._now_ns:
             del self._peers[oldest.name]
+            self._near_until_ns = 0
             self._lives.forget(oldest.name)
 
     def _recover(self, peer: Peer, channel: str) -> None:

@@ -7,7 +7,6 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import pairwise
 
 import numpy as np
 
@@ -108,12 +107,15 @@ def check_outline(delta: Delta) -> None:
         raise DeltaError(f"robot {delta.robot!r}: a name has 1 to {MAX_NAME} printable characters")
     if not 0 <= delta.since <= delta.revision <= MAX_REVISION or not 0 <= delta.stamp_ns < 2**63:
         raise DeltaError(f"impossible revisions {delta.since} to {delta.revision} or stamp {delta.stamp_ns}")
-    if any(one >= following for one, following in pairwise(tile.key for tile in delta.tiles)):
-        raise DeltaError("tiles that do not rise")
     most = MAX_CELL // delta.map.lattice.tile_cells
-    for key in (tile.key for tile in delta.tiles):
-        if max(abs(key.x), abs(key.y)) > most or key.level != 0:
+    before: TileKey | None = None
+    for tile in delta.tiles:
+        key = tile.key
+        if before is not None and before >= key:
+            raise DeltaError("tiles that do not rise")
+        if not -most <= key.x <= most or not -most <= key.y <= most or key.level != 0:
             raise DeltaError(f"tile {tuple(key)} is not on the lattice (levels other than 0 are not exchanged yet)")
+        before = key
 
 
 def check_cells(delta: Delta) -> None:

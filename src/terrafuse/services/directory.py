@@ -5,6 +5,7 @@ Nodes report to their stations; whoever asks a station, learns of the whole flee
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf
@@ -96,15 +97,16 @@ class Directory(Service):
         self.partners = tuple(f"{peer}/{DIRECTORY}" for peer in report_to)
         self._node, self._statuses, self._letters, self._report_to = node, statuses, letters, report_to
         self._bytes_per_s = bytes_per_s
-        self._known: dict[str, _Known] = {}
+        self._known: OrderedDict[str, _Known] = OrderedDict()
+        """Whom it heard last comes last."""
         self._now_ns = self._next_ns = 0
 
     def tick(self, now_ns: int) -> float:
         self._now_ns = now_ns
         if self._report_to and now_ns >= self._next_ns:
             self._next_ns = now_ns + round(self._report() * SECOND_NS)
-        for node in [name for name, known in self._known.items() if known.age_s(now_ns) > FORGET_S]:
-            del self._known[node]
+        while self._known and next(iter(self._known.values())).age_s(now_ns) > FORGET_S:
+            self._known.popitem(last=False)
         return IDLE_S
 
     def post(self, message: Message) -> None:
@@ -133,6 +135,7 @@ class Directory(Service):
             return
         if message.sender in self._known or len(self._known) < MOST_NODES:
             self._known[message.sender] = _Known(report, self._now_ns)
+            self._known.move_to_end(message.sender)
 
     def _answer(self, message: Message) -> None:
         number = int.from_bytes(message.payload[:8], "big")

@@ -22,6 +22,15 @@ def test_over_links_that_misbehave(first: int) -> None:
     assert [seed for seed in range(first, first + AT_ONCE) if not converges(seed)] == []
 
 
+FOUND = [3669]
+"""By `make soak`: a robot that lost its memory passed on what another brought of its former life, as its own."""
+
+
+@pytest.mark.parametrize("seed", FOUND)
+def test_where_it_once_failed(seed: int) -> None:
+    assert converges(seed)
+
+
 LASTING = [seed for seed in range(400) if any(each.keeps == "everything" for each in schedule_of(seed).restarts)][:24]
 
 

@@ -110,6 +110,8 @@ class Holding:
         if (reason := self._refusal(sender, about, delta, now_ns, len(piece.delta))) is not None:
             self._counts[f"refused.{reason}"] += 1
             return False
+        if self.own is not None and delta.robot == self.own.robot:
+            self.own.surpass(max(piece.until, delta.revision))  # before it is passed on, which would count as told
         known = self.of(delta.robot)
         sinces = piece.sinces * len(delta.tiles) if len(piece.sinces) == 1 else piece.sinces
         fresh = [

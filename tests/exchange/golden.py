@@ -7,7 +7,7 @@ GOLDEN = {
         # magic
         "544644"
         # format version
-        "03"
+        "04"
         # form
         "00"
         # header length
@@ -25,13 +25,13 @@ GOLDEN = {
         "0050f007b6a997e44001fe9436356577c40102fe40c00df203fc00ffb05024dbf01031ce06f98977916e31ce13ec"
         "00ff00ff00ff0e00c06b0d0456420203ce749e30b1439132737c77c351a37079572ce5da10c010"
         # CRC-32 of all before
-        "08b78e9d"
+        "0b7a2c92"
     ),
     "elevation full": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "03"
+        "04"
         # form
         "01"
         # header length
@@ -39,15 +39,15 @@ GOLDEN = {
         # header, msgpack
         "9ca9656c65766174696f6e0104c0a272310202ce7735940002030209"
         # body
-        "000001000c400404097c001924692c40288012604804980a010d500076c00384004b826908506618a648"
+        "000001005c0110974001936962014400981201301400d500076c00384005c1608506929348"
         # CRC-32 of all before
-        "31986de9"
+        "132acfa1"
     ),
     "elevation lean": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "03"
+        "04"
         # form
         "02"
         # header length
@@ -55,15 +55,15 @@ GOLDEN = {
         # header, msgpack
         "9ca9656c65766174696f6e0104c0a272310202ce7735940002030209"
         # body
-        "00000100020d500075c00374004b826908506618a648"
+        "0000010018d500075c00374005c1608506929348"
         # CRC-32 of all before
-        "43fa1da7"
+        "228f1604"
     ),
     "grey exact": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "03"
+        "04"
         # form
         "00"
         # header length
@@ -75,13 +75,13 @@ GOLDEN = {
         "28b52ffd203c6d0100240200010300b2720096f356aa00fd020002ff0100ff0000009436ca35659a77c43bff0003"
         "0038b7afcbab0044"
         # CRC-32 of all before
-        "561f2924"
+        "963620bf"
     ),
     "grey full": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "03"
+        "04"
         # form
         "01"
         # header length
@@ -89,15 +89,15 @@ GOLDEN = {
         # header, msgpack
         "9ca4677265790104c0a272310202ce7735940001030209"
         # body
-        "000001000f6801ed003de0010460015c0093493324a424"
+        "000001001ed003da007bc000460015c009a4cd2524"
         # CRC-32 of all before
-        "2c13c5d0"
+        "fe04969d"
     ),
     "grey lean": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "03"
+        "04"
         # form
         "02"
         # header length
@@ -105,15 +105,15 @@ GOLDEN = {
         # header, msgpack
         "9ca4677265790104c0a272310202ce7735940001030209"
         # body
-        "00000100a81502e013c1e093493324a424"
+        "0000010001502a05c03c1e09a4cd2524"
         # CRC-32 of all before
-        "4ff35853"
+        "527e9800"
     ),
     "occupancy exact": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "03"
+        "04"
         # form
         "00"
         # header length
@@ -126,13 +126,13 @@ GOLDEN = {
         "0402000104010032f700f042ad003000ff0000000000943600003565000077c402020600c000047755c70ee5fddd"
         "4f06d002"
         # CRC-32 of all before
-        "b0ab1d4f"
+        "914e8e78"
     ),
     "occupancy full": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "03"
+        "04"
         # form
         "01"
         # header length
@@ -140,15 +140,15 @@ GOLDEN = {
         # header, msgpack
         "9ca96f63637570616e63790104c0a272310202ce7735940002050209"
         # body
-        "0000010074848c0528006003004f49468330c22648"
+        "0000010003a423014a001800c015628d06929348"
         # CRC-32 of all before
-        "344facf4"
+        "504c8e1e"
     ),
     "occupancy lean": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "03"
+        "04"
         # form
         "02"
         # header length
@@ -156,15 +156,15 @@ GOLDEN = {
         # header, msgpack
         "9ca96f63637570616e63790104c0a272310202ce7735940002050209"
         # body
-        "000001001d211e05100303c04f49468330c22648"
+        "00000100e907814400c0f015628d06929348"
         # CRC-32 of all before
-        "128ba5bb"
+        "a676c253"
     ),
     "terrain exact": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "03"
+        "04"
         # form
         "00"
         # header length
@@ -181,13 +181,13 @@ GOLDEN = {
         "008f71c23d0df240bf000af6d72823dc3cc380803fc0a99546e57efc3dff01000bf600ff0000000006002a430c45"
         "2966e0813c0081197003"
         # CRC-32 of all before
-        "b7617796"
+        "f2f40bdd"
     ),
     "terrain full": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "03"
+        "04"
         # form
         "01"
         # header length
@@ -195,15 +195,15 @@ GOLDEN = {
         # header, msgpack
         "9ca77465727261696e0104c0a272310202ce7735940002030109"
         # body
-        "00000100c90092004d20045d40029f80090e00bb801ba00264244444410a0908a648"
+        "00000100c90092006602d73002a7e0021c017700374006436db62141211348"
         # CRC-32 of all before
-        "71e8b4b8"
+        "ebab5aef"
     ),
     "terrain lean": bytes.fromhex(
         # magic
         "544644"
         # format version
-        "03"
+        "04"
         # form
         "02"
         # header length
@@ -211,8 +211,8 @@ GOLDEN = {
         # header, msgpack
         "9ca77465727261696e0104c0a272310202ce7735940002030109"
         # body
-        "00000100804010e00bb801ba002444410a0908a648"
+        "0000010003f8043802ee006e800db62141211348"
         # CRC-32 of all before
-        "3fcc4a7c"
+        "e3100d1c"
     ),
 }

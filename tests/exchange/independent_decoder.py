@@ -18,51 +18,36 @@ import zstandard
 
 NAMES = ["model", "resolution_m", "tile_m", "crs", "robot", "revision", "span", "stamp_ns"]
 EXACT, ROUNDED = ["tiles", "fields", "sizes"], ["tiles", "cells", "pairs", "digits"]
-PLAIN, SIGNED, PREDICTED = "plain", "signed", "predicted"
-COLUMNS: dict[tuple[str, int], list[tuple[str, str, str | None]]] = {
-    ("elevation", 2): [("n", PREDICTED, None), ("height", PREDICTED, None), ("drop", PLAIN, None)],
-    ("elevation", 1): [("n", PREDICTED, None), ("mean", PREDICTED, None), ("below", PLAIN, None),
-                       ("above", PLAIN, None), ("variance", PLAIN, None), ("changes", PLAIN, None),
-                       ("alike", PLAIN, None), ("ground_n", PLAIN, None), ("ground_mean", SIGNED, "ground_n"),
-                       ("ground_below", PLAIN, "ground_n"), ("ground_above", PLAIN, "ground_n"),
-                       ("ground_variance", PLAIN, "ground_n")],
-    ("grey", 2): [("a", PREDICTED, None), ("c", PREDICTED, None)],
-    ("occupancy", 2): [("sum", PREDICTED, None), ("updates", PREDICTED, None)],
-    ("terrain", 2): [("rare", PLAIN, None), ("coarse", PLAIN, None), ("wall", PLAIN, None),
-                     ("height", PREDICTED, None), ("confidence", PREDICTED, None), ("occupation", PREDICTED, "coarse")],
-    ("terrain", 1): [("rare", PLAIN, None), ("coarse", PLAIN, None), ("wall", PLAIN, None), ("held", PLAIN, None),
-                     ("plane", PLAIN, None), ("slopes", PLAIN, None), ("height", PREDICTED, None),
-                     ("confidence", PREDICTED, None), ("gradient_x", SIGNED, "slopes"),
-                     ("gradient_y", SIGNED, "slopes"), ("gradient_error", PLAIN, "slopes"),
-                     ("occupation", PLAIN, None)],
-}  # fmt: skip
-COLUMNS["grey", 1], COLUMNS["occupancy", 1] = COLUMNS["grey", 2], COLUMNS["occupancy", 2]
+COLUMNS = {  # ~ predicted, ± signed, | where
+    ("elevation", 1): "n~ mean~ below above variance changes alike ground_n ground_mean±|ground_n "
+    "ground_below|ground_n ground_above|ground_n ground_variance|ground_n",
+    ("elevation", 2): "n~ height~ drop",
+    ("terrain", 1): "rare coarse wall held plane slopes height~ confidence~ gradient_x±|slopes gradient_y±|slopes "
+    "gradient_error|slopes occupation",
+    ("terrain", 2): "rare coarse wall height~ confidence~ occupation~|coarse",
+} | {(model, form): names for model, names in (("grey", "a~ c~"), ("occupancy", "sum~ updates~")) for form in (1, 2)}
 
 
 class Body:
     def __init__(self, data: bytes) -> None:
-        self.data, self.front, self.back = data, 4, 0
-        self.state = int.from_bytes(data[:4], "little")
+        self.state, self.words = int.from_bytes(data[:4], "little"), struct.iter_unpack("<H", data[4 : len(data) & ~1])
+        self.bits = int.from_bytes(data[::-1], "little")
+        self.taken, self.size = [32, 0], 8 * len(data)
 
     def plain(self, count: int) -> int:
-        out = 0
-        for k in range(count):
-            byte, bit = divmod(self.back + k, 8)
-            out |= (self.data[-1 - byte] >> bit & 1) << k
-        self.back += count
+        out, self.bits = self.bits & ((1 << count) - 1), self.bits >> count
+        self.taken[1] += count
         return out
 
-    def table(self) -> list[int]:
-        weights = []
-        for _ in range(self.plain(6)):
-            level = self.plain(5)
-            s = max((level >> 1) - 1, 0)
-            weights.append((level - (s << 1)) << s)
-        if not weights:
-            return [1024]
-        shares = [max(1, w * 1024 // sum(weights)) if w else 0 for w in weights]
-        shares[weights.index(max(weights))] += 1024 - sum(shares)
-        return shares
+    def unary(self) -> int:
+        return 0 if self.plain(1) else 1 + self.unary()
+
+    def shares(self) -> list[int]:
+        levels = [self.plain(4) for _ in range(self.plain(6))]
+        weights = [level if level < 4 else (level - 2 * (level // 2 - 1)) << (level // 2 - 1) for level in levels]
+        out = [max(1, w * 1024 // sum(weights)) if w else 0 for w in weights]
+        out[levels.index(max(levels))] += 1024 - sum(out)
+        return out
 
     def coded(self, shares: list[int]) -> int:
         kind, rest = 0, self.state % 1024
@@ -70,29 +55,20 @@ class Body:
             kind, rest = kind + 1, rest - shares[kind]
         self.state = shares[kind] * (self.state // 1024) + rest
         if self.state < 2**16:
-            self.state = self.state * 2**16 + int.from_bytes(self.data[self.front : self.front + 2], "little")
-            self.front += 2
-        return kind
-
-    def unary(self) -> int:
-        kind = 0
-        while not self.plain(1):
-            kind += 1
+            self.state = self.state * 2**16 + next(self.words)[0]
+            self.taken[0] += 16
         return kind
 
     def symbols(self, count: int) -> list[int]:
         mode = self.plain(2) if count else 0
-        assert mode < 3
-        tables = [self.table() for _ in range((0, 1, 4)[mode])]
-        out, kind = [], 0
-        for _ in range(count):
-            kind = self.coded(tables[min(kind, len(tables) - 1)]) if tables else self.unary()
+        shares, out = self.shares() if mode == 1 else [], []
+        for _ in range(1 if mode == 2 else count):
+            kind = self.coded(shares) if mode == 1 else self.unary()
             out.append(kind if kind <= 2 else 2 ** (kind - 2) + 1 + self.plain(kind - 2))
-        return out
+        return out * count if mode == 2 else out
 
     def ended(self) -> bool:
-        left = 8 * len(self.data) - 8 * self.front - self.back
-        return self.state == 2**16 and 0 <= left < 8 and self.plain(left) == 0
+        return self.state == 2**16 and 0 <= self.size - sum(self.taken) < 8
 
 
 def unfold(symbol: int) -> int:
@@ -106,32 +82,16 @@ def expected(at: dict[Any, int], x: int, j: int, i: int, last: int) -> int:
     return last if w is None and n is None else n if w is None else w
 
 
-def column(body: Body, kind: str, chosen: list[int], places: list[tuple[int, int, int]]) -> list[int]:
-    numbers, known = [0] * len(places), {}
-    (alike,) = body.symbols(1)
-    symbols = [] if alike else body.symbols(len(chosen))
-    following, last, picked = iter(symbols), 0, set(chosen)
-    for k, place in enumerate(places):
-        if k in picked:
-            symbol = alike - 1 if alike else next(following)
-            numbers[k] = symbol if kind == PLAIN and not alike else unfold(symbol)
-            if kind == PREDICTED and not alike:
-                numbers[k] += expected(known, *place, last)
-        last = known[place] = numbers[k]
-    return numbers
-
-
 def decode(message: bytes) -> tuple[dict[str, Any], dict[tuple[int, int], list[Any]]]:
     magic, version, form, length = struct.unpack_from("<3sBBI", message)
-    assert (magic, version) == (b"TFD", 3)
+    assert (magic, version) == (b"TFD", 4)
     assert zlib.crc32(message[:-4]) == struct.unpack("<I", message[-4:])[0]
     fields = msgspec.msgpack.decode(message[9 : 9 + length])
     header = dict(zip(NAMES + (ROUNDED if form else EXACT), fields, strict=True))
-    body = message[9 + length : -4]
-    return header, rounded(header, form, body) if form else exact(header, body)
+    return header, (rounded if form else exact)(header, form, message[9 + length : -4])
 
 
-def exact(header: dict[str, Any], body: bytes) -> dict[tuple[int, int], list[Any]]:
+def exact(header: dict[str, Any], _: int, body: bytes) -> dict[tuple[int, int], list[Any]]:
     tiles, frames = {}, 0
     for (x, y, _, count), size in zip(header["tiles"], header["sizes"], strict=True):
         raw = zstandard.ZstdDecompressor().decompress(body[frames : frames + size])
@@ -147,23 +107,33 @@ def exact(header: dict[str, Any], body: bytes) -> dict[tuple[int, int], list[Any
 
 
 def rounded(header: dict[str, Any], form: int, data: bytes) -> dict[tuple[int, int], list[Any]]:
-    body, side = Body(data), round(header["tile_m"] / header["resolution_m"])
+    body, side, cells = Body(data), round(header["tile_m"] / header["resolution_m"]), header["cells"]
     x, y = (list(accumulate(map(unfold, body.symbols(header["tiles"])))) for _ in range(2))
-    tile_of = [t for t, less in enumerate(body.symbols(header["tiles"])) for _ in range(less + 1)]
+    counts = [less + 1 for less in body.symbols(header["tiles"] - 1)]
+    tile_of = [t for t, count in enumerate([*counts, cells - sum(counts)]) for _ in range(count)]
     backs, lows, highs = (body.symbols(header["pairs"]) for _ in range(3))
+    revisions = [header["revision"] - back for back in accumulate(backs)]
+    ages = accumulate(unfold(high << 32 | low) for low, high in zip(lows, highs, strict=True))
+    stamps = [header["stamp_ns"] - age * 10 ** header["digits"] for age in ages]
     at: list[int] = []
-    for k, gap in enumerate(body.symbols(header["cells"])):
+    for k, gap in enumerate(body.symbols(cells)):
         at.append(gap if k == 0 or tile_of[k] != tile_of[k - 1] else at[-1] + 1 + gap)
-    places = [(x[t], y[t] * side + one // side, one % side) for t, one in zip(tile_of, at, strict=True)]
     columns: dict[str, list[int]] = {}
-    for name, kind, where in [("seen", PLAIN, None), *COLUMNS[header["model"], form]]:
-        chosen = [k for k in range(len(at)) if where is None or columns[where][k]]
-        columns[name] = column(body, kind, chosen, places)
+    for column in ["seen", *COLUMNS[header["model"], form].split()]:
+        name, _, where = column.partition("|")
+        chosen = [k for k in range(cells) if not where or columns[where][k]]
+        symbols, known, last = dict(zip(chosen, body.symbols(len(chosen)), strict=True)), {}, 0
+        values = columns[name.strip("~±")] = [0] * cells
+        for k, symbol in symbols.items():
+            values[k] = unfold(symbol) if name[-1] in "~±" else symbol
+        for k, (t, one) in enumerate(zip(tile_of, at, strict=True)):
+            place = x[t], y[t] * side + one // side, one % side
+            if name[-1] == "~" and k in symbols:
+                values[k] += expected(known, *place, last)
+            last = known[place] = values[k]
     assert body.ended()
     tiles: dict[tuple[int, int], list[Any]] = {}
     for k, seen in enumerate(columns.pop("seen")):
-        stamp_ns = header["stamp_ns"] - unfold(highs[seen] << 32 | lows[seen]) * 10 ** header["digits"]
-        revision = header["revision"] - backs[seen]
         numbers = {name: values[k] for name, values in columns.items()}
-        tiles.setdefault((x[tile_of[k]], y[tile_of[k]]), []).append((at[k], stamp_ns, revision, numbers))
+        tiles.setdefault((x[tile_of[k]], y[tile_of[k]]), []).append((at[k], stamps[seen], revisions[seen], numbers))
     return tiles

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from terrafuse.errors import CodecError
-from terrafuse.exchange.codec import START, decode, encode, heading, pack_cells, unpack_cells
+from terrafuse.exchange.codec import START, VERSION, decode, encode, heading, pack_cells, unpack_cells
 from terrafuse.exchange.delta import Delta, check_content
 from terrafuse.models import make_model
 from terrafuse.testing.deltas import deltas_of, random_scans
@@ -73,7 +73,7 @@ def test_golden_bytes_are_written(name: str) -> None:
     assert _content(written["body"]) == _content(known["body"])
     heads = [msgspec.msgpack.decode(side["header, msgpack"]) for side in (written, known)]
     assert heads[0][:-1] == heads[1][:-1]  # last are the frames' sizes
-    assert message[:5] == golden[:5] == b"TFD\x03\x00"
+    assert message[:5] == golden[:5] == b"TFD\x04\x00"
 
 
 def _content(frames: bytes) -> bytes:
@@ -132,7 +132,7 @@ def sealed(name: str, body: bytes | None = None, **changes: object) -> bytes:
     known = COMMON + (EXACTLY if name.endswith("exact") else ROUNDED)
     values = dict(zip(known, fields, strict=True)) | changes
     head = msgspec.msgpack.encode(list(values.values()))
-    start = START.pack(b"TFD", 3, golden["form"][0], len(head))
+    start = START.pack(b"TFD", VERSION, golden["form"][0], len(head))
     whole = start + head + (golden["body"] if body is None else body)
     return whole + struct.pack("<I", zlib.crc32(whole))
 
@@ -249,7 +249,7 @@ def test_positions_must_rise_within_the_tile() -> None:
 def test_another_version_is_refused_clearly() -> None:
     for message in (EXACT[:3] + bytes([9]) + EXACT[4:], b"TFD\x01" + bytes(20)):
         version = message[3]
-        with pytest.raises(CodecError, match=f"format version {version}; this terrafuse reads version 3"):
+        with pytest.raises(CodecError, match=f"format version {version}; this terrafuse reads version 4"):
             decode(message, CELL)
 
 

@@ -22,7 +22,7 @@ def test_over_links_that_misbehave(first: int) -> None:
     assert [seed for seed in range(first, first + AT_ONCE) if not converges(seed)] == []
 
 
-FOUND = [3669]
+FOUND = [3669, 13610, 18100]
 """By `make soak`: a robot that lost its memory passed on what another brought of its former life, as its own."""
 
 

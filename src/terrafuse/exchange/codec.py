@@ -15,7 +15,7 @@ import struct
 import zlib
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from math import gcd
 from typing import Any, NamedTuple
 
@@ -31,7 +31,7 @@ from terrafuse.tile import opaque
 from terrafuse.types import Array, TileKey
 
 MAGIC = b"TFD"
-VERSION = 3
+VERSION = 4
 ZSTD_LEVEL = 3
 MAX_MESSAGE = 1 << 30
 MAX_CELLS = 1 << 24
@@ -39,7 +39,8 @@ MAX_CELLS = 1 << 24
 START = struct.Struct("<3sBBI")
 """Magic, version, form, length of the header."""
 TABLE_ROWS, LOW = 3, 2**32 - 1
-"""Of stamps and revisions: by how many revisions it is older than the delta, and its age in units, in two words."""
+"""Of stamps and revisions, the newest first: by how many revisions it is older than the one before, and by how many
+units, folded, in two words."""
 MOST_DIGITS = 9
 SAMPLE = 16
 """Cells that most often tell that a profile has not rounded them."""
@@ -290,14 +291,15 @@ def _encode_rounded(delta: Delta, name: str, profile: Profile) -> bytes | None:
     if _numbers_of(cells[:SAMPLE], profile) is None or (numbers := _numbers_of(cells, profile)) is None:
         return None
     stamps, revisions, seen = _pairs(cells)
-    ages = [delta.stamp_ns - stamp for stamp in stamps]
+    backs = [one - own for one, own in pairwise([delta.revision, *revisions])]
+    ages = [one - own for one, own in pairwise([delta.stamp_ns, *stamps])]
     counts, digits = [len(tile.at) for tile in delta.tiles], _digits(gcd(*ages))
     header = _Rounded(**_common(delta), tiles=len(counts), cells=sum(counts), pairs=len(ages), digits=digits)
     folded = [_folded(age // 10**digits) for age in ages]
     whole = entropy.Unpacked(
         np.array([(tile.key.x, tile.key.y) for tile in delta.tiles], np.int64),
         np.cumsum([0, *counts]),
-        np.array([delta.revision - revisions, [age & LOW for age in folded], [age >> 32 for age in folded]], np.int64),
+        np.array([backs, [age & LOW for age in folded], [age >> 32 for age in folded]], np.int64),
         np.concatenate([tile.at for tile in delta.tiles]).astype(np.int64),
         np.vstack([seen, numbers]),
     )
@@ -324,16 +326,13 @@ def _unfolded(number: int) -> int:
     return -(number + 1) // 2 if number & 1 else number // 2
 
 
-def _pairs(cells: Array) -> tuple[list[int], Array, Array]:
-    """Stamps and revisions of the distinct pairs of both, the most frequent first; each cell's number among these."""
+def _pairs(cells: Array) -> tuple[list[int], list[int], Array]:
+    """Stamps and revisions of the distinct pairs of both, the newest first; each cell's number among these."""
     stamps, stamp_of = np.unique(cells["stamp"], return_inverse=True)
     revisions, revision_of = np.unique(cells["revision"], return_inverse=True)
-    pairs, seen, counts = np.unique(stamp_of * len(revisions) + revision_of, return_inverse=True, return_counts=True)
-    order = np.argsort(-counts, kind="stable")
-    rank = np.empty(len(pairs), np.int64)
-    rank[order] = np.arange(len(pairs))
-    which_stamp, which_revision = np.divmod(pairs[order], len(revisions))
-    return stamps[which_stamp].tolist(), revisions[which_revision].astype(np.int64), rank[seen]
+    pairs, seen = np.unique(revision_of * len(stamps) + stamp_of, return_inverse=True)
+    which_revision, which_stamp = np.divmod(pairs[::-1], len(stamps))
+    return stamps[which_stamp].tolist(), revisions[which_revision].tolist(), len(pairs) - 1 - seen
 
 
 def _rounded_tiles(
@@ -370,12 +369,13 @@ def _table(header: _Rounded, table: Array) -> tuple[Array, Array]:
     if not 0 <= header.digits <= MOST_DIGITS:
         raise CodecError(f"stamps in 10^{header.digits} ns")
     backs, lows, highs = table.tolist()
-    ages = (_unfolded(high << 32 | low) for low, high in zip(lows, highs, strict=True))
+    ages = accumulate(_unfolded(high << 32 | low) for low, high in zip(lows, highs, strict=True))
     stamps = [header.stamp_ns - age * 10**header.digits for age in ages]
     if min(stamps) < 0 or max(stamps) >= 2**63 or max(lows) > LOW:
         raise CodecError("cells from before 1970, or from times beyond 63 bits")
+    revisions = [header.revision - back for back in accumulate(backs)]
     if header.revision > MAX_REVISION:
         raise CodecError(f"impossible revisions up to {header.revision}")
-    if max(backs) >= header.revision:
+    if revisions[-1] < 1:
         raise CodecError("cells of revisions newer than the delta, or none")
-    return np.array(stamps, np.int64), np.array([header.revision - back for back in backs], np.uint32)
+    return np.array(stamps, np.int64), np.array(revisions, np.uint32)

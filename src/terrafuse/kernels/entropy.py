@@ -6,7 +6,7 @@ close to noise and stands in c - 2 plain bits. Two streams share the bytes: code
 from the end.
 
 The coder is rANS (Duda 2013, arXiv:1311.2540): a symbol is read by one look into a table, without a branch. A column's
-table is sent before it, roughly, so that messages of a hundred cells gain, too: a class's weight takes five bits. Short
+table is sent before it, roughly, so that messages of a hundred cells gain, too: a class's weight takes four bits. Short
 columns go without. Decoding trusts nothing: it says False where bytes run out, are left over, or spell a number that
 can't be.
 """
@@ -25,13 +25,13 @@ DIRECT = 2
 MOST_CLASS = 48
 """So that numbers stay below 2⁴⁷, and sums of a few within 63 bits."""
 CLASSES = MOST_CLASS + 1
-CONTEXTS = 4
-"""Classes may have a table each for the class of the symbol before in the column: 0, 1, 2, or more."""
-UNARY, ONE_TABLE, TABLES = range(3)
-"""How a column's classes are written, in MODE_BITS: in plain bits, c zeros and a one; by a table; by CONTEXTS."""
-MODE_BITS, COUNT_BITS, WEIGHT_BITS = 2, 6, 5
-"""Of a table: how many classes it has, and the weight of each, a level of one bit (`exchange.profiles`)."""
-MOST_WEIGHT = 3 << 14
+UNARY, TABLE, ALIKE = range(3)
+"""How a column is written, in MODE_BITS: classes in plain bits, c zeros and a one; by a table; a single symbol, UNARY,
+which all are."""
+MODE_BITS, COUNT_BITS, WEIGHT_BITS = 2, 6, 4
+"""Of a table: how many classes it has, and the weight of each, a level of one bit (`exchange.profiles`). With five bits
+long columns would gain a thousandth, and messages of a hundred cells lose a fiftieth."""
+MOST_WEIGHT = 3 << 6
 """The number of the largest level."""
 SHARE_BITS = 10
 SHARES = 1 << SHARE_BITS
@@ -186,27 +186,22 @@ def _level(weight):
 
 
 @njit(cache=True, nogil=True)
-def _tables(classes, contexts, levels, shares):
-    """Of a column's classes (N,), levels and shares (contexts, CLASSES) → how many 1/256 bits all takes."""
-    counts, own, cost = np.zeros((contexts, CLASSES), np.int64), 0, np.int64(0)
+def _table_of(classes, levels, shares):
+    """Of a column's classes (N,), levels and shares (CLASSES,) → how many 1/256 bits all takes."""
+    counts = np.zeros(CLASSES, np.int64)
     for k in range(classes.shape[0]):
-        counts[min(own, contexts - 1), classes[k]] += 1
-        own = classes[k]
-    for row in range(contexts):
-        scale, most = 0, counts[row].max()
-        while most >> scale > MOST_WEIGHT:
-            scale += 1
-        last = 0
-        for c in range(CLASSES):
-            count = counts[row, c]
-            levels[row, c] = _level(max(count >> scale, 1)) if count else 0
-            last = c + 1 if count else last
-        cost += 256 * (COUNT_BITS + WEIGHT_BITS * last)
-        shares[row] = 0
-        if not share(levels[row], shares[row]):
-            shares[row, 0] = SHARES
-        for c in range(last):
-            cost += counts[row, c] * BITS[shares[row, c]]
+        counts[classes[k]] += 1
+    scale, last = 0, 0
+    while counts.max() >> scale > MOST_WEIGHT:
+        scale += 1
+    for c in range(CLASSES):
+        levels[c] = _level(max(counts[c] >> scale, 1)) if counts[c] else 0
+        last = c + 1 if counts[c] else last
+    shares[:] = 0
+    share(levels, shares)
+    cost = np.int64(256 * (COUNT_BITS + WEIGHT_BITS * last))
+    for c in range(last):
+        cost += counts[c] * BITS[shares[c]]
     return cost
 
 
@@ -219,63 +214,56 @@ def _put(bits, at, value, count):
 
 
 @njit(cache=True, nogil=True)
-def _put_tables(bits, at, levels):
-    for row in range(levels.shape[0]):
-        last = 0
-        for c in range(CLASSES):
-            last = c + 1 if levels[row, c] else last
-        at = _put(bits, at, last, COUNT_BITS)
-        for c in range(last):
-            at = _put(bits, at, levels[row, c], WEIGHT_BITS)
+def _put_table(bits, at, levels):
+    last = 0
+    for c in range(CLASSES):
+        last = c + 1 if levels[c] else last
+    at = _put(bits, at, last, COUNT_BITS)
+    for c in range(last):
+        at = _put(bits, at, levels[c], WEIGHT_BITS)
     return at
 
 
 @njit(cache=True, nogil=True)
-def _column_of(symbols, contexts, bits, at, sizes, firsts):
+def _column_of(symbols, bits, at, sizes, firsts):
     """Write a column's plain bits, and of its classes the shares and those before them; none where they are unary."""
-    classes, unary = np.empty(symbols.shape[0], np.int64), np.int64(0)
-    for k in range(symbols.shape[0]):
+    count, alike = symbols.shape[0], True
+    classes, unary = np.empty(count, np.int64), np.int64(0)
+    for k in range(count):
         classes[k] = class_of(symbols[k])
         unary += 256 * (classes[k] + 1)
-    levels, shares = np.empty((CONTEXTS, CLASSES), np.int64), np.empty((CONTEXTS, CLASSES), np.int64)
-    several = _tables(classes, contexts, levels[:contexts], shares[:contexts])
-    one = _tables(classes, 1, levels[:1], shares[:1]) if contexts > 1 else several
-    mode = UNARY if unary <= min(one, several) else ONE_TABLE if one <= several else TABLES
-    rows = CONTEXTS if mode == TABLES else 1
-    if mode == TABLES:
-        _tables(classes, rows, levels, shares)
+        alike &= symbols[k] == symbols[0]
+    levels, shares, lower = np.empty(CLASSES, np.int64), np.empty(CLASSES, np.int64), np.zeros(CLASSES, np.int64)
+    mode = ALIKE if alike and count > 1 else UNARY if unary <= _table_of(classes, levels, shares) else TABLE
     at = _put(bits, at, mode, MODE_BITS)
-    if mode != UNARY:
-        at = _put_tables(bits, at, levels[:rows])
-    lower, before = np.zeros((CONTEXTS, CLASSES), np.int64), 0
-    for c in range(1, CLASSES):
-        lower[:rows, c] = lower[:rows, c - 1] + shares[:rows, c - 1]
-    for k in range(symbols.shape[0]):
+    if mode == TABLE:
+        at = _put_table(bits, at, levels)
+        for c in range(1, CLASSES):
+            lower[c] = lower[c - 1] + shares[c - 1]
+    for k in range(1 if mode == ALIKE else count):
         own = classes[k]
-        if mode == UNARY:
-            at = _put(bits, at, 1 << own, own + 1)
+        if mode == TABLE:
+            sizes[k], firsts[k] = shares[own], lower[own]
         else:
-            row = min(before, rows - 1)
-            sizes[k], firsts[k] = shares[row, own], lower[row, own]
+            at = _put(bits, at, 1 << own, own + 1)
         if own > DIRECT:
             at = _put(bits, at, symbols[k] - 1 - (1 << (own - DIRECT)), own - DIRECT)
-        before = own
     return at
 
 
 @njit(cache=True, nogil=True)
-def write(symbols, counts, contexts):
-    """Columns of symbols, counts[c] each, one after the other, with tables for contexts[c] at most → (B,) uint8."""
+def write(symbols, counts):
+    """Columns of symbols, counts[c] each, one after the other → (B,) uint8."""
     room, bits_room = symbols.shape[0], 1 << 10
     for k in range(room):
         bits_room += 2 * class_of(symbols[k]) + 1
-    bits = np.empty(bits_room + (MODE_BITS + CONTEXTS * (COUNT_BITS + WEIGHT_BITS * CLASSES)) * len(counts), np.uint8)
+    bits = np.empty(bits_room + (MODE_BITS + COUNT_BITS + WEIGHT_BITS * CLASSES) * len(counts), np.uint8)
     sizes, firsts = np.zeros(room, np.int64), np.zeros(room, np.int64)
     first, at = 0, 0
     for c in range(counts.shape[0]):
         if counts[c]:
             end = first + counts[c]
-            at = _column_of(symbols[first:end], contexts[c], bits, at, sizes[first:end], firsts[first:end])
+            at = _column_of(symbols[first:end], bits, at, sizes[first:end], firsts[first:end])
             first = end
     words, used, x = np.empty(room + 2, np.int64), 0, np.int64(RENEW)
     for k in range(room - 1, -1, -1):
@@ -358,11 +346,10 @@ def _table(plain, at, table):
     levels, shares = np.zeros(CLASSES, np.int64), np.zeros(CLASSES, np.int64)
     for c in range(classes):
         levels[c] = _bits(plain, here + WEIGHT_BITS * c, WEIGHT_BITS)
-    shares[0] = SHARES
-    if classes and not share(levels, shares):
+    if not share(levels, shares):
         return False
     slot = 0
-    for c in range(max(classes, 1)):
+    for c in range(classes):
         for within in range(shares[c]):
             table[slot] = c | shares[c] << 6 | within << 17
             slot += 1
@@ -376,24 +363,24 @@ def _symbols(streams, at, symbols):
     A whole column in one function, and what it counts with in locals: a function for a symbol takes ten times as long.
     Indices are unsigned, or Numba would ask of each whether it counts from the end.
     """
-    words, plain, tables = streams
+    words, plain, table = streams
     if not symbols.shape[0]:
         return True
     mode = _bits(plain, at[BIT], MODE_BITS)
     at[BIT] += MODE_BITS
     if mode == UNARY:
         return _unary(plain, at, symbols)
-    rows = CONTEXTS if mode == TABLES else 1
-    if mode > TABLES:
-        return False
-    for row in range(rows):
-        if not _table(plain, at, tables[row * SHARES : (row + 1) * SHARES]):
+    if mode == ALIKE:
+        if not _unary(plain, at, symbols[:1]):
             return False
+        symbols[1:] = symbols[0]
+        return True
+    if mode != TABLE or not _table(plain, at, table):
+        return False
     x, front, here = at[STATE], np.uint64(at[WORD]), at[BIT]
     last, end = np.uint64(words.shape[0] - NOTHING_LEFT), (plain.shape[0] - NOTHING_LEFT + 1) * 64
-    table, most = np.int64(0), rows - 1
     for k in range(symbols.shape[0]):
-        entry = np.int64(tables[np.uint64(table + (x & (SHARES - 1)))])
+        entry = np.int64(table[np.uint64(x & (SHARES - 1))])
         own = entry & 63
         x = (entry >> 6 & 2047) * (x >> SHARE_BITS) + (entry >> 17)
         more = x < RENEW
@@ -402,7 +389,6 @@ def _symbols(streams, at, symbols):
         bits = max(own - DIRECT, 0)
         symbols[k] = FIRST[np.uint64(own)] + _bits(plain, here, bits)
         here += bits
-        table = np.int64(own if own < most else most) << SHARE_BITS
         if front > last or here > end:
             return False
     at[STATE], at[WORD], at[BIT] = x, front, here
@@ -411,8 +397,8 @@ def _symbols(streams, at, symbols):
 
 @njit(cache=True, nogil=True)
 def _tiles(streams, at, cells, keys, starts):
-    """Differences of x, of y, and counts less one → keys (T, 2), starts (T + 1,); False unless there are so many cells,
-    and all keys below 2⁴⁴."""
+    """Differences of x, of y, and counts less one of all but the last → keys (T, 2), starts (T + 1,); False unless all
+    tiles have cells and all keys are below 2⁴⁴."""
     tiles = keys.shape[0]
     symbols = np.empty(tiles, np.int64)
     for c in range(2):
@@ -424,14 +410,14 @@ def _tiles(streams, at, cells, keys, starts):
             if abs(value) > MOST:
                 return False
             keys[t, c] = value
-    if not _symbols(streams, at, symbols):
+    if not _symbols(streams, at, symbols[1:]):
         return False
-    starts[0] = 0
-    for t in range(tiles):
-        if symbols[t] >= cells - starts[t]:
+    starts[0], starts[tiles] = 0, cells
+    for t in range(tiles - 1):
+        if symbols[t + 1] >= cells - starts[t] - 1:
             return False
-        starts[t + 1] = starts[t] + symbols[t] + 1
-    return starts[tiles] == cells
+        starts[t + 1] = starts[t] + symbols[t + 1] + 1
+    return True
 
 
 @njit(cache=True, nogil=True)
@@ -451,15 +437,7 @@ def _places(gaps, starts, cells, places):
 @njit(cache=True, nogil=True)
 def _column(streams, at, kind, other, west, north, lowest, highest, symbols, numbers):
     """The next column's numbers, likewise; False where it has none."""
-    every, alike = other.shape[0] == 0, np.empty(1, np.int64)
-    if not _symbols(streams, at, alike):
-        return False
-    if alike[0] > 0:
-        number = unfold(alike[0] - 1)
-        for k in range(numbers.shape[0]):
-            numbers[k] = number if every or other[k] != 0 else 0
-        return lowest <= number <= highest
-    own = symbols if every else symbols[: np.count_nonzero(other)]
+    own = symbols if other.shape[0] == 0 else symbols[: np.count_nonzero(other)]
     if not _symbols(streams, at, own):
         return False
     return differences(kind, numbers, other, west, north, lowest, highest, own, True)
@@ -476,7 +454,7 @@ def read(data, side, kinds, where, lowest, highest, keys, starts, table, places,
     if data.shape[0] < 4:
         return False
     words, plain, at = _begin(data)
-    streams, cells = (words, plain, np.empty(CONTEXTS * SHARES, np.uint32)), places.shape[0]
+    streams, cells = (words, plain, np.empty(SHARES, np.uint32)), places.shape[0]
     if not _tiles(streams, at, cells, keys, starts):
         return False
     for row in range(table.shape[0]):
@@ -521,24 +499,14 @@ def packed(whole: Unpacked, side: int, plan: Plan) -> bytes:
     neighbours(keys, starts, places, side, west, north)
     gaps = np.diff(places, prepend=-1) - 1
     gaps[starts[:-1]] = places[starts[:-1]]
-    columns = [_folded(np.diff(keys[:, 0], prepend=0)), _folded(np.diff(keys[:, 1], prepend=0)), np.diff(starts) - 1]
-    columns += [*table, gaps]
+    columns = [_folded(np.diff(keys[:, 0], prepend=0)), _folded(np.diff(keys[:, 1], prepend=0))]
+    columns += [np.diff(starts)[:-1] - 1, *table, gaps]
     for own, kind, where, low, high in zip(numbers, *plan, strict=True):
         other = numbers[where] if where >= 0 else own[:0]
-        chosen = own[other != 0] if where >= 0 else own
-        alike = len(chosen) == 0 or bool((chosen == chosen[0]).all())
-        symbols = np.empty(0 if alike else len(chosen), np.int64)
-        if not alike:
-            differences(kind, own, other, west, north, low, high, symbols, False)
-        columns.append(1 + _folded(chosen[:1] if len(chosen) else np.zeros(1, np.int64)) if alike else NONE_ALIKE)
+        symbols = np.empty(np.count_nonzero(other) if where >= 0 else len(own), np.int64)
+        differences(kind, own, other, west, north, low, high, symbols, False)
         columns.append(symbols)
-    every, counts = np.concatenate(columns), np.array([len(column) for column in columns])
-    contexts = np.full(len(columns), CONTEXTS)
-    contexts[len(columns) - 2 * len(numbers) + 1 :: 2][plan.kinds != PLAIN] = 1
-    return bytes(write(every, counts, contexts))
-
-
-NONE_ALIKE = np.zeros(1, np.int64)
+    return bytes(write(np.concatenate(columns), np.array([len(column) for column in columns])))
 
 
 def _folded(numbers: Array) -> Array:
@@ -584,8 +552,7 @@ class ReaderReference:
     def table(self) -> list[tuple[int, int, int]]:
         """By remainder: class, shares of it, which of these."""
         levels = [self.bits(WEIGHT_BITS) for _ in range(self.bits(COUNT_BITS))]
-        shares = shares_reference(levels) if levels else [SHARES]
-        return [(c, own, within) for c, own in enumerate(shares) for within in range(own)]
+        return [(c, own, within) for c, own in enumerate(shares_reference(levels)) for within in range(own)]
 
     def coded(self, table: list[tuple[int, int, int]]) -> int:
         own, shares, within = table[self.state % SHARES]
@@ -598,13 +565,13 @@ class ReaderReference:
     def column(self, count: int) -> list[int]:
         """The next `count` symbols, all of one column."""
         mode = self.bits(MODE_BITS) if count else UNARY
-        tables = [self.table() for _ in range([0, 1, CONTEXTS][mode])]
-        out, before = [], 0
-        for _ in range(count):
-            before = self.coded(tables[min(before, len(tables) - 1)]) if tables else self.unary()
-            bits = max(before - DIRECT, 0)
-            out.append(before if before <= DIRECT else (1 << bits) + self.bits(bits) + 1)
-        return out
+        table = self.table() if mode == TABLE else []
+        out = []
+        for _ in range(1 if mode == ALIKE else count):
+            own = self.coded(table) if table else self.unary()
+            bits = max(own - DIRECT, 0)
+            out.append(own if own <= DIRECT else (1 << bits) + self.bits(bits) + 1)
+        return out * count if mode == ALIKE else out
 
 
 def shares_reference(levels: list[int]) -> list[int]:
@@ -632,7 +599,8 @@ def read_reference(data: bytes, tiles: int, cells: int, table: tuple[int, int], 
     """What `unpacked` must equal, of bytes that are sound."""
     reader = ReaderReference(data)
     x, y = (np.cumsum([unfold_reference(symbol) for symbol in reader.column(tiles)]) for _ in range(2))
-    counts = [symbol + 1 for symbol in reader.column(tiles)]
+    counts = [symbol + 1 for symbol in reader.column(tiles - 1)]
+    counts.append(cells - sum(counts))
     rows = np.array([reader.column(table[1]) for _ in range(table[0])], np.int64)
     tile_of = [t for t, count in enumerate(counts) for _ in range(count)]
     places: list[int] = []
@@ -641,16 +609,9 @@ def read_reference(data: bytes, tiles: int, cells: int, table: tuple[int, int], 
     columns: list[list[int]] = []
     for kind, other in zip(plan.kinds.tolist(), plan.where.tolist(), strict=True):
         chosen = [k for k in range(cells) if other == ALWAYS or columns[other][k]]
-        (alike,) = reader.column(1)
-        if alike:
-            column = [0] * cells
-            for k in chosen:
-                column[k] = unfold_reference(alike - 1)
-            columns.append(column)
-            continue
         symbols = dict(zip(chosen, reader.column(len(chosen)), strict=True))
         found: dict[tuple[int, int, int], int] = {}
-        column = []
+        column: list[int] = []
         for k in range(cells):
             number = symbols.get(k, 0) if kind == PLAIN else unfold_reference(symbols.get(k, 0))
             j, i = divmod(places[k], side)

@@ -39,9 +39,9 @@ GOLDEN = {
         # header, msgpack
         "9ca9656c65766174696f6e0104c0a272310202ce7735940002030209"
         # body
-        "000001005c0110974001936962014400981201301400d500076c00384005c1608506929348"
+        "0000010002e00884ba000c9b4b100a2004c0900980a006a8003b6001c2002e0b108506929348"
         # CRC-32 of all before
-        "132acfa1"
+        "e8f883a4"
     ),
     "elevation lean": bytes.fromhex(
         # magic
@@ -55,9 +55,9 @@ GOLDEN = {
         # header, msgpack
         "9ca9656c65766174696f6e0104c0a272310202ce7735940002030209"
         # body
-        "0000010018d500075c00374005c1608506929348"
+        "00000100c6a8003ae001ba002e0b108506929348"
         # CRC-32 of all before
-        "228f1604"
+        "ff8067b0"
     ),
     "grey exact": bytes.fromhex(
         # magic
@@ -89,9 +89,9 @@ GOLDEN = {
         # header, msgpack
         "9ca4677265790104c0a272310202ce7735940001030209"
         # body
-        "000001001ed003da007bc000460015c009a4cd2524"
+        "00000100f6801ed003de00023000ae004d24cd2524"
         # CRC-32 of all before
-        "fe04969d"
+        "b28c2718"
     ),
     "grey lean": bytes.fromhex(
         # magic
@@ -105,9 +105,9 @@ GOLDEN = {
         # header, msgpack
         "9ca4677265790104c0a272310202ce7735940001030209"
         # body
-        "0000010001502a05c03c1e09a4cd2524"
+        "000001000a81502e01e0f04d24cd2524"
         # CRC-32 of all before
-        "527e9800"
+        "d0f81fe8"
     ),
     "occupancy exact": bytes.fromhex(
         # magic
@@ -140,9 +140,9 @@ GOLDEN = {
         # header, msgpack
         "9ca96f63637570616e63790104c0a272310202ce7735940002050209"
         # body
-        "0000010003a423014a001800c015628d06929348"
+        "000001001d21180a5000c00600ab128d06929348"
         # CRC-32 of all before
-        "504c8e1e"
+        "0ec7317e"
     ),
     "occupancy lean": bytes.fromhex(
         # magic
@@ -156,9 +156,9 @@ GOLDEN = {
         # header, msgpack
         "9ca96f63637570616e63790104c0a272310202ce7735940002050209"
         # body
-        "00000100e907814400c0f015628d06929348"
+        "0000010007483c0a20060780ab128d06929348"
         # CRC-32 of all before
-        "a676c253"
+        "acda0c1e"
     ),
     "terrain exact": bytes.fromhex(
         # magic
@@ -195,9 +195,9 @@ GOLDEN = {
         # header, msgpack
         "9ca77465727261696e0104c0a272310202ce7735940002030109"
         # body
-        "00000100c90092006602d73002a7e0021c017700374006436db62141211348"
+        "0000010006480490033016b980153f0010e00bb801ba00321b6db42141211348"
         # CRC-32 of all before
-        "ebab5aef"
+        "2cae92d0"
     ),
     "terrain lean": bytes.fromhex(
         # magic
@@ -211,8 +211,8 @@ GOLDEN = {
         # header, msgpack
         "9ca77465727261696e0104c0a272310202ce7735940002030109"
         # body
-        "0000010003f8043802ee006e800db62141211348"
+        "000001001fc021c017700374006db42141211348"
         # CRC-32 of all before
-        "e3100d1c"
+        "ce573a0f"
     ),
 }

@@ -119,7 +119,7 @@ def rounded(header: dict[str, Any], form: int, data: bytes) -> dict[tuple[int, i
     for k, gap in enumerate(body.symbols(cells)):
         at.append(gap if k == 0 or tile_of[k] != tile_of[k - 1] else at[-1] + 1 + gap)
     columns: dict[str, list[int]] = {}
-    for column in ["seen", *COLUMNS[header["model"], form].split()]:
+    for column in ["seen~" if body.symbols(1)[0] else "seen", *COLUMNS[header["model"], form].split()]:
         name, _, where = column.partition("|")
         chosen = [k for k in range(cells) if not where or columns[where][k]]
         symbols, known, last = dict(zip(chosen, body.symbols(len(chosen)), strict=True)), {}, 0

@@ -113,8 +113,8 @@ def test_numbers_beyond_bounds_are_none() -> None:
 @pytest.mark.parametrize(("count", "sound"), [(1, True), (2, True), (3, False), (4, False), (2**46, False)])
 def test_each_tile_has_cells(count: int, sound: bool) -> None:
     """Two tiles of three cells, the first of which has so many."""
-    symbols = np.concatenate([np.zeros(4, np.int64), [count - 1], np.zeros(3 + 3 * 3, np.int64)])
-    found = unpacked(entropy.write(symbols, np.array([2, 2, 1, 3, 3, 3, 3])).tobytes(), 2, 3)
+    symbols = np.concatenate([np.zeros(4, np.int64), [count - 1], np.zeros(3 + 1 + 3 * 3, np.int64)])
+    found = unpacked(entropy.write(symbols, np.array([2, 2, 1, 3, 1, 3, 3, 3])).tobytes(), 2, 3)
     assert (found is not None) == sound
 
 

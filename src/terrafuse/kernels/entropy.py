@@ -43,6 +43,8 @@ RENEW = 1 << WORD_BITS
 PLAIN, SIGNED, PREDICTED = range(3)
 """What a column's symbols are: its numbers, which are ≥ 0; its numbers, folded (0, -1, 1, -2, ...); their differences
 to what the neighbours let expect, folded."""
+WAYS = np.array([PLAIN, PREDICTED])
+"""Of the first column of numbers: which of both it is, a column of one symbol before it says."""
 MOST = 1 << 44
 """No number is further from 0."""
 ALWAYS = -1
@@ -51,7 +53,7 @@ ALWAYS = -1
 
 class Plan(NamedTuple):
     """What columns hold, (C,) int64 each: their kinds, where they have symbols (where that column is not 0, or ALWAYS),
-    their least and greatest numbers."""
+    their least and greatest numbers. The first one is PLAIN, but PREDICTED where that takes less."""
 
     kinds: Array
     where: Array
@@ -460,14 +462,17 @@ def read(data, side, kinds, where, lowest, highest, keys, starts, table, places,
     for row in range(table.shape[0]):
         if not _symbols(streams, at, table[row]):
             return False
-    symbols = np.empty(cells, np.int64)
+    symbols, first = np.empty(cells, np.int64), np.empty(1, np.int64)
     if not _symbols(streams, at, symbols) or not _places(symbols, starts, np.int64(side) * side, places):
+        return False
+    if not _symbols(streams, at, first) or first[0] > 1:
         return False
     west, north = np.empty(cells, np.int64), np.empty(cells, np.int64)
     neighbours(keys, starts, places, side, west, north)
     for c in range(numbers.shape[0]):
         other = numbers[where[c]] if where[c] >= 0 else symbols[:0]
-        if not _column(streams, at, kinds[c], other, west, north, lowest[c], highest[c], symbols, numbers[c]):
+        kind = kinds[c] if c > 0 else WAYS[first[0]]
+        if not _column(streams, at, kind, other, west, north, lowest[c], highest[c], symbols, numbers[c]):
             return False
     bits = at[BIT]
     left = _bits(plain, bits, -bits & 7)
@@ -501,11 +506,21 @@ def packed(whole: Unpacked, side: int, plan: Plan) -> bytes:
     gaps[starts[:-1]] = places[starts[:-1]]
     columns = [_folded(np.diff(keys[:, 0], prepend=0)), _folded(np.diff(keys[:, 1], prepend=0))]
     columns += [np.diff(starts)[:-1] - 1, *table, gaps]
-    for own, kind, where, low, high in zip(numbers, *plan, strict=True):
-        other = numbers[where] if where >= 0 else own[:0]
-        symbols = np.empty(np.count_nonzero(other) if where >= 0 else len(own), np.int64)
-        differences(kind, own, other, west, north, low, high, symbols, False)
-        columns.append(symbols)
+    ways = [_symbols_of(kind, numbers[0], numbers[0][:0], west, north) for kind in WAYS]
+    way = int(np.argmin([len(_written([symbols])) for symbols in ways]))
+    columns += [np.array([way]), ways[way]]
+    for own, kind, where in zip(numbers[1:], plan.kinds[1:], plan.where[1:], strict=True):
+        columns.append(_symbols_of(kind, own, numbers[where] if where >= 0 else own[:0], west, north))
+    return _written(columns)
+
+
+def _symbols_of(kind: int, numbers: Array, other: Array, west: Array, north: Array) -> Array:
+    symbols = np.empty(np.count_nonzero(other) if len(other) else len(numbers), np.int64)
+    differences(kind, numbers, other, west, north, 0, 0, symbols, False)
+    return symbols
+
+
+def _written(columns: list[Array]) -> bytes:
     return bytes(write(np.concatenate(columns), np.array([len(column) for column in columns])))
 
 
@@ -607,7 +622,8 @@ def read_reference(data: bytes, tiles: int, cells: int, table: tuple[int, int], 
     for k, gap in enumerate(reader.column(cells)):
         places.append(gap if k == 0 or tile_of[k] != tile_of[k - 1] else places[-1] + 1 + gap)
     columns: list[list[int]] = []
-    for kind, other in zip(plan.kinds.tolist(), plan.where.tolist(), strict=True):
+    kinds = [WAYS[reader.column(1)[0]], *plan.kinds[1:].tolist()]
+    for kind, other in zip(kinds, plan.where.tolist(), strict=True):
         chosen = [k for k in range(cells) if other == ALWAYS or columns[other][k]]
         symbols = dict(zip(chosen, reader.column(len(chosen)), strict=True))
         found: dict[tuple[int, int, int], int] = {}

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from terrafuse.cli import arguments
+from terrafuse.cli.asking import entry_json, operator_at, print_table, status_json, watch
 from terrafuse.cli.commands import MODEL_HELP, SENSOR_HELP, WINDOW_HELP, Json
-from terrafuse.cli.output import LINES_EVERY_S, bytes_text, count_text, note, say, say_json, tell_of_compiling
+from terrafuse.cli.output import bytes_text, note, say, say_json
 from terrafuse.cli.plugins import Plugins
+from terrafuse.cli.running import run_nodes
 
 if TYPE_CHECKING:
-    from terrafuse.services.directory import Entry
-    from terrafuse.services.node import Node
     from terrafuse.services.settings import FleetSettings
 
-INTERRUPTED = 130
 ADDRESS = "tcp/127.0.0.1:7447"
 
 Model = Annotated[str, typer.Option(metavar="NAME[?SETTINGS]", help=MODEL_HELP)]
@@ -102,7 +100,7 @@ def station(
         quotas=quotas, upstream=tuple(upstream or ()), upstream_name=upstream_station,
         area_m=arguments.bounds(area, "--area"), relays=tuple(relay or ()),
     )  # fmt: skip
-    return _run(_settings(map=about, link=link, station=part), [name], json)
+    return run_nodes(_settings(map=about, link=link, station=part), [name], json)
 
 
 def robot(
@@ -186,7 +184,7 @@ def robot(
         share=share, precision=precision, bytes_per_s=arguments.positive("--budget", budget, "bytes"),
     )  # fmt: skip
     link = _link(connect=tuple(connect or ()), keys=keys, insecure=insecure, kind=LinkPart)
-    return _run(_settings(map=about, link=link, stations=(station_name,), robots={name: part}), [name], json)
+    return run_nodes(_settings(map=about, link=link, stations=(station_name,), robots={name: part}), [name], json)
 
 
 def fleet(
@@ -204,7 +202,7 @@ def fleet(
     from terrafuse.services.settings import chosen, load_fleet
 
     settings = load_fleet(file)
-    return _run(settings, chosen(settings, node or []), json)
+    return run_nodes(settings, chosen(settings, node or []), json)
 
 
 def services(
@@ -217,13 +215,13 @@ def services(
     json: Json = False,
 ) -> None:
     """List every service of the fleet with its health and state, live: Ctrl-C ends it. --json says it once."""
-    with _operator(connect, station_name, name, keys, insecure) as asking:
+    with operator_at(connect, station_name, name, keys, insecure) as asking:
         if json:
-            say_json({"nodes": [_entry_json(entry) for entry in asking.fleet()]})
+            say_json({"nodes": [entry_json(entry) for entry in asking.fleet()]})
         elif once or not sys.stdout.isatty():
-            _print_table(asking.fleet())
+            print_table(asking.fleet())
         else:
-            _watch(asking)
+            watch(asking)
 
 
 def get(
@@ -263,7 +261,7 @@ def get(
                 raise InputError(f"{option} is for a layer of a map: give --layer, too")
     elif out is None:
         raise InputError("--layer: say where to, --out FILE.png, .tif, .npz or .yaml")
-    with _operator(connect, station_name, name, keys, insecure) as asking:
+    with operator_at(connect, station_name, name, keys, insecure) as asking:
         value = _shown(asking, service)
         if layer is not None:
             assert out is not None
@@ -287,7 +285,7 @@ def _shown(asking: Any, service: str) -> dict[str, Any]:
     if service not in found:
         raise InputError(f"no service '{service}'; there are {', '.join(found)}")
     entry, status = found[service]
-    return _status_json(status) | {"node": entry.node, "age_s": round(entry.age_s, 1), "lost": entry.lost}
+    return status_json(status) | {"node": entry.node, "age_s": round(entry.age_s, 1), "lost": entry.lost}
 
 
 def _brought(
@@ -356,7 +354,7 @@ def correct(
     if from_ns >= until_ns:
         raise InputError(f"--since {since} --until {until}: there is no time between them")
     how = correcting.checked(robot, (shift_east, shift_north, shift_up), turn_deg, about, id_)
-    with _operator(connect, station_name, name, keys, insecure) as asking:
+    with operator_at(connect, station_name, name, keys, insecure) as asking:
         known = correcting.look_up(asking.fleet(), station_name, robot)
         motion = how.motion(known)
         one = Correction(id_ or secrets.token_hex(6), time.time_ns(), from_ns, until_ns, motion)
@@ -392,7 +390,7 @@ def _stamp(option: str, text: str | None, default: int) -> int:
     return stamp
 
 
-# --- running ----------------------------------------------------------------------------------------------------------
+# --- what was asked for -----------------------------------------------------------------------------------------------
 
 
 def _map(model: str, resolution: float, tile: float | None, crs: str | None, factor: int, **more: Any) -> Any:
@@ -436,203 +434,3 @@ def _checked_part(kind: Callable[..., Any], **values: Any) -> Any:
         return kind(**values)
     except ValidationError as error:
         raise InputError(words_of(error)) from error
-
-
-def _run(settings: FleetSettings, names: Sequence[str], json: bool) -> int:
-    """Run these nodes, tell of them on stderr, and of what came of it on stdout; returns the exit code."""
-    from terrafuse.services.carriers import carrier, upstream
-    from terrafuse.services.node import make_node
-    from terrafuse.services.run import Hung, run, stopped_by_signals
-
-    tell_of_compiling()
-    carry = carrier(settings, note)
-    above = upstream(settings, note)
-    nodes = [make_node(settings, name, carry, above) for name in names]
-    for name in names:
-        note(f"{name}: {_begins(settings, name)}")
-    # Only now: before, nothing has to be put down, and what is being imported or read could not be told to stop.
-    with stopped_by_signals() as stop:
-        try:
-            done = run(nodes, stop, _Progress())
-        except Hung:
-            _tell(nodes, False, json)
-            sys.stdout.flush()
-            os._exit(_code(nodes, False))  # what is not committed is as good as never done
-    _tell(nodes, done, json)
-    return _code(nodes, done)
-
-
-def _code(nodes: Sequence[Node], done: bool) -> int:
-    """Stations are stopped to end; robots that are, have not ended."""
-    return 0 if done or all(node.ends_with is None for node in nodes) else INTERRUPTED
-
-
-def _begins(settings: FleetSettings, name: str) -> str:
-    about = settings.map
-    if settings.station is not None and name == settings.station.name:
-        where = f"listens on {', '.join(settings.link.listen)}" if settings.link.listen else "in this process"
-        return f"map of {about.model}, {about.resolution_m:g} m cells, in {settings.station.store}; {where}"
-    part = settings.robots[name]
-    return f"maps {part.source} into {part.store}, reports to {', '.join(part.peers or settings.reported_to)}"
-
-
-class _Progress:
-    """A line for each node every few seconds, and at once for what went wrong."""
-
-    def __init__(self) -> None:
-        self._last = time.monotonic()
-        self._told: dict[tuple[str, str], int] = {}
-
-    def __call__(self, nodes: Sequence[Node]) -> None:
-        for node in nodes:
-            self._tell_of_restarts(node)
-        if time.monotonic() - self._last >= LINES_EVERY_S:
-            self._last = time.monotonic()
-            for node in nodes:
-                note(f"{node.name}: {_progress(node)}")
-
-    def _tell_of_restarts(self, node: Node) -> None:
-        for status in node.statuses.values():
-            if status.restarts > self._told.get((node.name, status.name), 0):
-                self._told[node.name, status.name] = status.restarts
-                note(f"{node.name}: the service '{status.name}' was started again ({status.reason})")
-
-
-def _progress(node: Node) -> str:
-    states = {name: status.state for name, status in node.statuses.items()}
-    if node.ends_with is None:
-        fine = states["map-manager"].get("channels", {}).get("fine", {})
-        reached = states["map-manager"].get("peers", [])
-        return f"{len(fine)} robots' maps held, {len(reached)} nodes in reach"
-    source, mapping, exchange = states["source"], states["mapping"], states["exchange"]
-    of = "" if source.get("records") is None else f" of {source['records']}"
-    lacks = sum(n for by in exchange.get("behind", {}).values() for robots in by.values() for n in robots.values())
-    reached = "in reach" if set(exchange.get("stations", [])) <= set(exchange.get("peers", [])) else "not in reach"
-    left = f"lacks {lacks} {'piece' if lacks == 1 else 'pieces'} of it" if lacks else "has what was told"
-    again = mapping.get("rebuilding")
-    anew = "" if again is None else f", {again} of them to be mapped anew by corrected poses"
-    return f"{mapping.get('scans', 0)}{of} scans mapped{anew}; the station {left}, and is {reached}"
-
-
-def _tell(nodes: Sequence[Node], done: bool, json: bool) -> None:
-    facts = {node.name: _facts(node) for node in nodes}
-    if json:
-        say_json({"done": done, "nodes": facts})
-        return
-    for node in nodes:
-        say(f"{node.name}: {_words(node, facts[node.name])}")
-
-
-def _facts(node: Node) -> dict[str, Any]:
-    return {"done": node.done, "services": {name: _status_json(status) for name, status in node.statuses.items()}}
-
-
-def _words(node: Node, facts: dict[str, Any]) -> str:
-    of = facts["services"]
-    if node.ends_with is None:
-        held = of["map-manager"]["state"].get("channels", {}).get("fine", {})
-        return f"stopped; holds {', '.join(f'{name} up to scan {n}' for name, n in held.items()) or 'nothing yet'}"
-    source, counts = of["source"]["state"], of["exchange"]["counts"]
-    sent = bytes_text(sum(n for key, n in counts.items() if key.startswith("bytes_sent.")))
-    skipped = "".join(f", {n} not placed ({why})" for why, n in source.get("skipped", {}).items())
-    what = f"{source.get('scans', 0)} scans{skipped}, {count_text(source.get('points', 0))}points, {sent} sent"
-    if node.done:
-        partners = [partner.split("/") for partner in of["exchange"]["partners"] if "/" in partner]
-        robots = ", ".join(node for node, service in partners if service == "exchange")
-        return f"{what}; all is at {robots or 'the station'}"
-    return f"{what}; stopped, what is not sent is kept, and the same command goes on"
-
-
-# --- looking ----------------------------------------------------------------------------------------------------------
-
-
-def _operator(connect: Sequence[str], station_name: str, name: str | None, keys: Path | None, insecure: bool) -> Any:
-    from terrafuse.exchange.links.transport import Transport
-    from terrafuse.exchange.links.zenoh import ZenohLink
-    from terrafuse.services.operator import operator, operator_name
-
-    own = name or (keys.name if keys is not None else operator_name())
-    return operator(ZenohLink(own, Transport(connect=connect, keys=keys, insecure=insecure), note), station_name)
-
-
-def _status_json(status: Any) -> dict[str, Any]:
-    import msgspec
-
-    out: dict[str, Any] = msgspec.to_builtins(status)
-    return out
-
-
-def _entry_json(entry: Entry) -> dict[str, Any]:
-    services = [_status_json(status) for status in entry.services]
-    return {"node": entry.node, "age_s": round(entry.age_s, 1), "lost": entry.lost, "services": services}
-
-
-def _watch(asking: Any) -> None:
-    from rich.live import Live
-
-    try:
-        with Live(screen=False, auto_refresh=False) as live:
-            for entries in asking.watch():
-                live.update(_table(entries), refresh=True)
-    except KeyboardInterrupt:
-        pass  # that is how it ends
-
-
-def _print_table(entries: Sequence[Entry]) -> None:
-    from rich.console import Console
-
-    console = Console()
-    console.print(_table(entries), width=console.width if console.is_terminal else FILE_COLUMNS)
-
-
-def _table(entries: Sequence[Entry]) -> Any:
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in ("service", "health", "state"):
-        table.add_column(column, no_wrap=column != "state")
-    for entry in entries:
-        for status in entry.services:
-            health = f"{_gone(entry)} {entry.age_s:.0f} s ago" if entry.lost else status.health
-            again = f"started again {_times(status.restarts)}" if status.restarts else ""
-            words = [word for word in (again, status.reason, _short(status.state)) if word]
-            table.add_row(f"{entry.node}/{status.name}", health, "; ".join(words))
-    return table
-
-
-def _times(count: int) -> str:
-    return "once" if count == 1 else f"{count} times"
-
-
-def _gone(entry: Entry) -> str:
-    """A robot that ends when all is at the station has left."""
-    return "left" if any(status.state.get("level") for status in entry.services) else "lost"
-
-
-FILE_COLUMNS = 160
-"""Of the table, where no terminal says how many there are."""
-SHOWN = (
-    "scans",
-    "revision",
-    "corrections",
-    "rebuilding",
-    "tiles",
-    "peers",
-    "behind",
-    "channels",
-    "trouble",
-    "said",
-    "nodes",
-)
-"""Of states, in the table; `terrafuse get` has all."""
-
-
-def _short(state: dict[str, Any]) -> str:
-    return ", ".join(f"{key} {_plain(state[key])}" for key in SHOWN if state.get(key) not in (None, {}, [], ""))
-
-
-def _plain(value: Any) -> str:
-    if isinstance(value, dict):
-        return " ".join(f"{key} {_plain(inner)}" for key, inner in value.items()) or "none"
-    return " ".join(map(str, value)) if isinstance(value, list) else str(value)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from terrafuse.cli.running import progress
 from terrafuse.exchange.area import meets
 from terrafuse.replica import Replica
 from terrafuse.services.node import _area
@@ -16,7 +17,7 @@ from terrafuse.services.settings import FleetSettings, RobotPart, StationPart
 from terrafuse.store.sqlite import SqliteStore
 from terrafuse.types import Bounds
 from tests.program import terrafuse
-from tests.services.test_one_process import nodes_of, settings_of
+from tests.services.test_one_process import finished, nodes_of, settings_of
 
 AREA = (0.0, 0.0, 30.0, 30.0)
 
@@ -78,3 +79,19 @@ def test_a_robot_holds_the_stations_map_of_its_area(logs: dict[str, Path], tmp_p
         for node in nodes:
             node.supervisor.stop(5)
             node.close()
+
+
+def test_a_robot_is_told_that_its_area_is_too_large(logs: dict[str, Path], tmp_path: Path) -> None:
+    settings = interested(settings_of(logs, tmp_path))
+    assert settings.station is not None
+    quotas = settings.station.quotas.model_copy(update={"area_tiles": 1})
+    station = settings.station.model_copy(update={"quotas": quotas})
+    wide = settings.robots["r1"].model_copy(update={"area_m": (-50.0, -50.0, 50.0, 50.0)})
+    robots = settings.robots | {"r1": wide}
+    nodes = nodes_of(settings.model_copy(update={"station": station, "robots": robots}))
+    finished(nodes)
+    assert "more tiles than a robot may ask for" in nodes[1].statuses["exchange"].state["said"]["station"]
+    assert "station says: the area of interest (-50.0, -50.0, 50.0, 50.0)" in progress(nodes[1])
+    assert nodes[0].statuses["map-manager"].counts["refused.area"] == 1
+    with SqliteStore.open(tmp_path / "r1.global.db") as near:
+        assert near.keys() == []

@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from terrafuse.cli import correcting
+from terrafuse.cli.running import progress
 from terrafuse.errors import InputError, StoreError, StoreMismatch
 from terrafuse.exchange.corrections import (
     ALWAYS_NS,
@@ -387,6 +388,7 @@ def test_what_no_map_can_be_made_by_is_taken_back(tmp_path: Path, mapped: bool) 
     with Fleet(settings.model_copy(update={"station": None, "stations": ("station",)})) as fleet:
         post(fleet.hub, some, done=lambda: bool(fleet.state("r1", "mapping").get("trouble")))
         assert "corrections 'far 0', 'far 1'" in fleet.state("r1", "mapping")["trouble"]
+        assert "; no map can be made by the corrections 'far 0'" in progress(fleet.nodes["r1"])
         assert not fleet.nodes["r1"].done
     with Fleet(settings) as fleet:
         fleet.until(lambda: bool(fleet.state("r1", "mapping").get("trouble")))

@@ -136,13 +136,13 @@ class Exchange(Service):
         self._place_ns = self._way_ns = self._fold_ns = 0
         self._fold, self._within = fold, within
         self._book = None if book is None else Book(book)
-        self._may_correct = may_correct
+        self._may_correct, self._may_have = may_correct, grant
         self._channels = channels()
         self._link = link()
         try:
             self._courier = Courier(
                 self._link, self._channels, peers=peers, on_message=self._bring, on_correction=self._correct,
-                answerer=answers, grant=grant, settings=settings,
+                answerer=answers, grant=self._granted, settings=settings,
             )  # fmt: skip
             self.counts = self._courier.counts
             self._courier.area = area
@@ -156,7 +156,8 @@ class Exchange(Service):
         except BaseException:
             self._link.close()
             raise
-        self._said: dict[str, str] = {}
+        self._said: dict[tuple[str, str], str] = {}
+        """By station and kind of message."""
         self._refused: dict[str, tuple[int, str]] = {}
         """Robots among robots that it told why it can't take their maps, and since when."""
         self._now_ns = 0
@@ -192,11 +193,11 @@ class Exchange(Service):
         elif message.kind == "level":
             self._level_heard.add(message.sender)
         elif message.sender in self.stations:
-            self._said[message.sender] = message.payload.decode(errors="replace")
+            words = self._said[message.sender, message.kind] = message.payload.decode(errors="replace")
             if message.kind == "refuse":
                 self.counts["refused_by_station"] += 1
             if message.kind == "refuse" and self._told is not None:
-                raise InputError(f"'{message.sender}' does not take this robot's map: {self._said[message.sender]}")
+                raise InputError(f"'{message.sender}' does not take this robot's map: {words}")
 
     def state(self) -> dict[str, Any]:
         out: dict[str, Any] = {
@@ -214,8 +215,11 @@ class Exchange(Service):
         if self._book is not None and self._book.all:
             out["corrections"] = {robot: len(some) for robot, some in self._book.all.items()}
         if any(self._said.values()):
-            out["said"] = {station: words for station, words in self._said.items() if words}
+            out["said"] = {station: "; ".join(self._words_of(station)) for station in self.stations}
         return out
+
+    def _words_of(self, station: str) -> list[str]:
+        return [words for (who, _), words in self._said.items() if words and who == station]
 
     def close(self) -> None:
         self._link.close()
@@ -278,6 +282,16 @@ class Exchange(Service):
     def _tell(self, kind: str, payload: bytes) -> None:
         for station in self.stations:
             self._courier.post(station, kind, payload)
+
+    def _granted(self, peer: str, area: Bounds) -> bool:
+        """A peer that does not get the map of its area is told why."""
+        if self._may_have is None or self._may_have(peer, area):
+            return True
+        words = (
+            f"the area of interest {tuple(area)} has more tiles than a robot may ask for here: ask for a smaller one"
+        )
+        self._write(Letter(peer, EXCHANGE, Message(contract_of(EXCHANGE).id, "area", words.encode())))
+        return False
 
     def _bring(self, sender: str, kind: str, payload: bytes) -> None:
         try:
@@ -366,7 +380,7 @@ class Exchange(Service):
 
 def contract_of(name: str) -> Contract:
     return Contract(
-        f"terrafuse/{name}", 1, remote=frozenset({"join", "welcome", "refuse", "correct", "corrected", "level"})
+        f"terrafuse/{name}", 1, remote=frozenset({"join", "welcome", "refuse", "area", "correct", "corrected", "level"})
     )
 
 

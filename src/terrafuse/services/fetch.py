@@ -18,6 +18,7 @@ from terrafuse.models.base import Layer
 from terrafuse.replica import Replica
 from terrafuse.services.operator import Operator
 from terrafuse.types import Bounds, TileKey
+from terrafuse.views import known_window
 
 MOST_TILES = 1024
 
@@ -53,12 +54,15 @@ def extent(asking: Operator, channel: str) -> Bounds:
 
 def fetch(asking: Operator, whole: Replica, channel: str, layer: Layer, area: Bounds | None) -> Fetched:
     """The tiles that an area needs to show a layer. Raises InputError for too many, and where nobody saw any of it."""
-    area = area or extent(asking, channel)
+    covered = extent(asking, channel)
+    area = area or covered
     keys = _keys(whole, area, layer.halo)
     nbytes = 0
     for answer in asking.ask([Question(what="tile", channel=channel, x=key.x, y=key.y) for key in keys]):
         nbytes += len(answer)
         whole.apply(decode(answer, whole.model.cell))
+    if not _anything(whole, area):
+        raise InputError(f"nobody has seen anything in {tuple(area)}; the station's map covers {tuple(covered)}")
     return Fetched(whole, area, len(keys), nbytes)
 
 
@@ -67,6 +71,11 @@ def sketch(asking: Operator, channel: str, layer: str, area: Bounds | None) -> t
     area = area or extent(asking, channel)
     (picture,) = asking.ask([Question(what="picture", channel=channel, layer=layer, area=area)])
     return picture, area
+
+
+def _anything(replica: Replica, area: Bounds) -> bool:
+    known, asked = known_window(replica), replica.lattice.cell_window(area)
+    return known is not None and all(known[k] < asked[k + 2] and asked[k] < known[k + 2] for k in range(2))
 
 
 def _keys(replica: Replica, area: Bounds, halo: int) -> list[TileKey]:

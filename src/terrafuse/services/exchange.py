@@ -215,7 +215,8 @@ class Exchange(Service):
         if self._book is not None and self._book.all:
             out["corrections"] = {robot: len(some) for robot, some in self._book.all.items()}
         if any(self._said.values()):
-            out["said"] = {station: "; ".join(self._words_of(station)) for station in self.stations}
+            said = {station: "; ".join(self._words_of(station)) for station in self.stations}
+            out["said"] = {station: words for station, words in said.items() if words}
         return out
 
     def _words_of(self, station: str) -> list[str]:

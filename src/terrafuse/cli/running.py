@@ -86,14 +86,19 @@ def progress(node: Node) -> str:
         return f"{len(fine)} robots' maps held, {len(reached)} nodes in reach"
     source, mapping, exchange = states["source"], states["mapping"], states["exchange"]
     of = "" if source.get("records") is None else f" of {source['records']}"
-    lacks = sum(n for by in exchange.get("behind", {}).values() for robots in by.values() for n in robots.values())
-    reached = "in reach" if set(exchange.get("stations", [])) <= set(exchange.get("peers", [])) else "not in reach"
-    left = f"lacks {lacks} {'piece' if lacks == 1 else 'pieces'} of it" if lacks else "has what was told"
     again = mapping.get("rebuilding")
     anew = "" if again is None else f", {again} of them to be mapped anew by corrected poses"
-    besides = [mapping.get("trouble"), *(f"{who} says: {words}" for who, words in exchange.get("said", {}).items())]
-    what = f"{mapping.get('scans', 0)}{of} scans mapped{anew}; the station {left}, and is {reached}"
-    return "; ".join([what, *filter(None, besides)])
+    stations = [_standing(exchange, station) for station in exchange.get("stations", [])]
+    said = [f"{station} says: {words}" for station, words in exchange.get("said", {}).items()]
+    what = [f"{mapping.get('scans', 0)}{of} scans mapped{anew}", *stations, mapping.get("trouble"), *said]
+    return "; ".join(filter(None, what))
+
+
+def _standing(exchange: dict[str, Any], station: str) -> str:
+    """How level whom a robot reports to is with it."""
+    lacks = sum(n for robots in exchange.get("behind", {}).get(station, {}).values() for n in robots.values())
+    left = f"lacks {lacks} {'piece' if lacks == 1 else 'pieces'} of it" if lacks else "has what was told"
+    return f"{station} {left}, and is {'in reach' if station in exchange.get('peers', []) else 'not in reach'}"
 
 
 def _tell(nodes: Sequence[Node], done: bool, json: bool) -> None:

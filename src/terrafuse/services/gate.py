@@ -79,6 +79,11 @@ class Roll:
         self._stations: frozenset[str] = frozenset()
         self._reports: dict[str, frozenset[str]] = {}
 
+    @property
+    def exists(self) -> bool:
+        """Those who only connect have none."""
+        return self._file.exists()
+
     def allows(self, node: str, robot: str) -> bool:
         self._look()
         return node in self._reports and (node in self._stations or robot in self._reports[node])

@@ -22,7 +22,7 @@ from terrafuse.services.answers import Answers
 from terrafuse.services.carriers import Carrier
 from terrafuse.services.directory import DIRECTORY, Directory
 from terrafuse.services.exchange import EXCHANGE, MAP_MANAGER, About, Exchange, Told
-from terrafuse.services.gate import Gate
+from terrafuse.services.gate import Gate, Roll
 from terrafuse.services.held import Held
 from terrafuse.services.lock import alone
 from terrafuse.services.mapping import Mapping as MappingService
@@ -211,10 +211,12 @@ def _robot(settings: FleetSettings, name: str, carrier: Carrier, files: ExitStac
     whole = MemoryStore(run.lattice.coarser(factor), run.model) if share == COARSE and factor > 1 else None
 
     def among(channel: Channel) -> Channel:
-        """Among robots alone, each passes on what it holds, and is guarded like a station."""
+        """Among robots alone, each passes on what it holds, and is guarded like a station. One that only connects has
+        no list of who may report whom; the one that it connects to has, and lets through what that allows."""
         if not part.peers or channel.store is None:
             return channel
-        gate = Gate([channel.store], QuotasPart(), keys, part.peers if keys is None else ())
+        listed = keys if keys is not None and Roll(Path(keys)).exists else None
+        gate = Gate([channel.store], QuotasPart(), listed, part.peers if listed is None else ())
         return replace(gate.channel(channel.name, 0, channel.store), own=channel.own, project=channel.project)
 
     def channels() -> Sequence[Channel]:

@@ -95,6 +95,8 @@ class Lattice:
         """(i0, j0, i1, j1), half open, of the cells that overlap the bounds; edges on a cell border add no cell."""
         if not all(map(math.isfinite, bounds)):
             raise LatticeError(f"bounds {tuple(bounds)} are not finite; give west,south,east,north in metres")
+        if max(map(abs, bounds)) * self.cells_per_m > MAX_CELL + 1:
+            raise LatticeError(f"bounds {tuple(bounds)} reach beyond the lattice of {self.resolution_m} m cells")
         slack = 1e-6
         i0 = math.floor(bounds.west * self.cells_per_m + slack)
         j0 = math.floor(bounds.south * self.cells_per_m + slack)

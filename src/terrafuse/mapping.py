@@ -228,10 +228,13 @@ def _check_frames(logs: Mapping[str, Log], settings: MapSettings) -> None:
         )
 
 
-def open_partial(path: Path, run: Plan, overwrite: bool = False) -> SqliteStore:
+AFRESH = "start afresh with --overwrite, or choose another --out"
+
+
+def open_partial(path: Path, run: Plan, overwrite: bool = False, afresh: str = AFRESH) -> SqliteStore:
     """The store of this run: new, or that of the same run cut short.
 
-    Raises StoreMismatch for another's, unless it may be overwritten.
+    Raises StoreMismatch for another's, unless it may be overwritten; `afresh` is how to begin anew.
     """
     if not path.exists():
         return SqliteStore.create(path, run.lattice, run.model, {"run": run.fingerprint})
@@ -243,8 +246,8 @@ def open_partial(path: Path, run: Plan, overwrite: bool = False) -> SqliteStore:
             remove_store(path)
             return open_partial(path, run)
         raise StoreMismatch(
-            f"{path}: an unfinished run with other logs or settings, or other plug-ins; run that again to finish it, "
-            "or start afresh with --overwrite, or choose another --out"
+            f"{path}: of a run with other logs or settings, or other plug-ins; run that again to go on with it, "
+            f"or {afresh}"
         )
     return store
 

@@ -131,7 +131,7 @@ def test_other_poses_are_another_run(out: Path, tmp_path: Path) -> None:
     refused(out, source, says=("backwards=drop",))
     poses = tmp_path / "log/poses.txt"
     poses.write_text(poses.read_text().replace("1 0 0 0 0 1 0 0 0 0 1 0", "1 0 0 5 0 1 0 0 0 0 1 0"))
-    refused(out, f"{source}&backwards=drop", says=("unfinished run with other logs", "--overwrite"))
+    refused(out, f"{source}&backwards=drop", says=("of a run with other logs", "--overwrite"))
     assert terrafuse("map", f"{source}&backwards=drop", "--out", out, "--overwrite").code == 0
 
 

@@ -84,5 +84,5 @@ def test_an_unfinished_run_is_not_taken_for_another(long_logs: list[str], tmp_pa
     killed_after(1, ["map", *long_logs, "--out", str(out)], out / "map.partial.db")
     other = terrafuse("map", *long_logs, "--resolution", "0.5", "--out", out)
     assert other.code == 2
-    assert "unfinished run with other logs or settings" in other.err
+    assert "of a run with other logs or settings" in other.err
     assert (out / "map.partial.db").exists()

@@ -182,3 +182,18 @@ def test_what_waits_is_made_when_it_can_go() -> None:
     outbox.fill("fine", refill)
     outbox.send(0)
     assert (len(lines.sent), len(made)) == (1, 1)
+
+
+def test_a_long_post_leaves_room_for_summaries() -> None:
+    """20 kB at 2 kB/s would silence a node for ten seconds."""
+    hub = MemoryHub(1400)
+    scale = Scale(hub.link("r1"))
+    node = Courier(scale, [], settings=CourierSettings(bytes_per_s=2000, overhead_bytes=OVERHEAD))
+    other = Courier(hub.link("station"), [], settings=CourierSettings())
+    node.post("station", "order", bytes(np.random.default_rng(1).bytes(20_000)))
+    for k in range(200):
+        node.tick(k * TICK_NS)
+        other.tick(k * TICK_NS)
+    at_s = np.array([now_ns for now_ns, _, kind in scale.sent if kind == "summary"]) / SECOND_NS
+    assert np.diff(at_s).max() < 3
+    assert sum(kind == "post" for _, _, kind in scale.sent) > 20

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from dataclasses import replace
 from math import radians
 from pathlib import Path
 
@@ -37,6 +38,7 @@ from terrafuse.replica import Replica
 from terrafuse.services.book import Book
 from terrafuse.services.directory import Entry
 from terrafuse.services.node import make_node
+from terrafuse.services.operator import Operator
 from terrafuse.services.rebuild import Bases, Basis, changes
 from terrafuse.services.run import run
 from terrafuse.services.service import Status
@@ -285,6 +287,32 @@ def test_a_robot_maps_anew_and_all_hold_that(tmp_path: Path, model: str) -> None
     with SqliteStore.open(tmp_path / "station.db") as store:
         tiles = [store.load("r1", key) for key in store.revisions("r1")]
         assert sum(int(erased(tile.cells).sum()) for tile in tiles if tile is not None) > 0
+
+
+def test_a_robot_does_not_leave_before_what_waits_for_it_has_come(tmp_path: Path) -> None:
+    """Its station is at 2 kB/s, and has so many corrections that they take seconds."""
+    settings = settings_of({"r1": Path(drive(tmp_path / "log"))}, tmp_path)
+    assert settings.station is not None
+    station = settings.station.model_copy(update={"bytes_per_s": 2000.0})
+    later = [Correction(f"c{k}", k, 5, 5 + k, flat(0.0, 0.0, 0.0)) for k in range(1, 60)]
+    Book(tmp_path / "station.corrections").add("r1", [SHIFT, *later])
+    with Fleet(settings.model_copy(update={"station": station})) as fleet:
+        fleet.level("r1")
+        assert fleet.state("r1", "mapping")["corrections"] == 60
+    assert digest(tmp_path / "station.db") == digest(tmp_path / "r1.db")
+
+
+def test_who_gives_corrections_by_a_clock_that_is_wrong_is_told(tmp_path: Path) -> None:
+    settings = settings_of({"r1": Path(drive(tmp_path / "log"))}, tmp_path)
+    with Fleet(settings) as fleet:
+        with closing(fleet.hub.link("ops")) as link:
+            asking = Operator(link, "station")
+            assert asking.correct("r1", [replace(SHIFT, issued_ns=time.time_ns())]) == 1
+            with pytest.raises(InputError, match=r"correction 'shift' is of 3.* s from now: set the clock"):
+                asking.correct("r1", [replace(SHIFT, issued_ns=time.time_ns() + 3600 * SECOND_NS)])
+            with pytest.raises(InputError, match="correction 'shift' was given before the one of this name"):
+                asking.correct("r1", [replace(SHIFT, issued_ns=5)])
+        fleet.level("r1")
 
 
 def test_the_order_in_which_two_come_makes_no_difference(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,15 +35,24 @@ def operator_at(connect: Sequence[str], station_name: str, name: str | None, key
     from terrafuse.exchange.links.zenoh import ZenohLink
     from terrafuse.services.operator import operator, operator_name
 
-    own = name or (keys.name if keys is not None else operator_name())
+    own = name or (keys.resolve().name if keys is not None else operator_name())
     return operator(ZenohLink(own, Transport(connect=connect, keys=keys, insecure=insecure), note), station_name)
 
 
 def status_json(status: Any) -> dict[str, Any]:
     import msgspec
 
-    out: dict[str, Any] = msgspec.to_builtins(status)
+    out: dict[str, Any] = _finite(msgspec.to_builtins(status))
     return out
+
+
+def _finite(value: Any) -> Any:
+    """What a node says of itself may be anything; JSON has no NaN."""
+    if isinstance(value, dict):
+        return {key: _finite(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_finite(inner) for inner in value]
+    return None if isinstance(value, float) and not isfinite(value) else value
 
 
 def entry_json(entry: Entry) -> dict[str, Any]:
@@ -71,6 +81,7 @@ def print_table(entries: Sequence[Entry]) -> None:
 def _table(entries: Sequence[Entry]) -> Any:
     from rich import box
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for column in ("service", "health", "state"):
@@ -80,7 +91,8 @@ def _table(entries: Sequence[Entry]) -> Any:
             health = f"{_gone(entry)} {entry.age_s:.0f} s ago" if entry.lost else status.health
             again = f"started again {_times(status.restarts)}" if status.restarts else ""
             words = [word for word in (again, status.reason, _short(status.state)) if word]
-            table.add_row(f"{entry.node}/{status.name}", health, "; ".join(words))
+            row = (f"{entry.node}/{status.name}", health, "; ".join(words))
+            table.add_row(*(Text("".join(c if c.isprintable() else "?" for c in text)) for text in row))
     return table
 
 

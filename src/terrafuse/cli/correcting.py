@@ -31,6 +31,8 @@ class Known:
     """Of the station's map."""
     place_m: tuple[float, float] | None
     """East, north, where the robot last was."""
+    below: tuple[str, ...] = ()
+    """Other stations that report to this one, where the robot itself does not."""
 
     @property
     def tells(self) -> str:
@@ -39,6 +41,11 @@ class Known:
     @property
     def warning(self) -> str:
         """Empty where there is nothing to warn of."""
+        if self.below and not self.reached:
+            return (
+                f"'{self.robot}' does not report to '{self.station}' itself; if it does to {' or '.join(self.below)}, "
+                "say it there: --connect, --station"
+            )
         if self.reached or self.mapped:
             return ""
         return f"'{self.station}' has never heard of '{self.robot}'; is the name right?"
@@ -97,13 +104,16 @@ def look_up(fleet: Sequence[Entry], station: str, robot: str) -> Known:
     manager, mapping = states.get((station, "map-manager"), {}), states.get((robot, "mapping"), {})
     held = {name for channel in manager.get("channels", {}).values() for name in channel}
     place = mapping.get("place_m")
+    nodes = {entry.node for entry in fleet}
+    below = sorted(node for node, service in states if service == "map-manager" and node != station)
     return Known(
         station,
         robot,
         robot in manager.get("peers", []),
-        robot in held | {entry.node for entry in fleet},
+        robot in held | nodes,
         manager.get("map", {}).get("crs"),
-        None if place is None else (place[0], place[1]),
+        (place[0], place[1]) if isinstance(place, list) and len(place) >= 2 else None,
+        () if robot in nodes else tuple(f"'{node}'" for node in below),
     )
 
 

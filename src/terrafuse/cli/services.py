@@ -309,7 +309,7 @@ def _brought(
         return {"out": str(out), "layer": layer, "area": list(area), "tiles": 0, "bytes": len(picture)}
     format_of(out)
     came = fetch.fetch(asking, whole, channel, chosen, area)
-    export_map(came.replica, out, layers=[layer], bounds=came.area)
+    export_map(came.replica, out, layers=[layer], bounds=area)
     return {"out": str(out), "layer": layer, "area": list(came.area), "tiles": came.tiles, "bytes": came.nbytes}
 
 
@@ -370,7 +370,7 @@ def correct(
 def _stamp(option: str, text: str | None, default: int) -> int:
     """A time as nanoseconds since 1970: no float could hold them."""
     from datetime import UTC, datetime, timedelta
-    from decimal import Decimal, InvalidOperation
+    from decimal import Decimal
 
     from terrafuse.errors import InputError
 
@@ -378,7 +378,7 @@ def _stamp(option: str, text: str | None, default: int) -> int:
         return default
     try:
         stamp = int(Decimal(text) * 10**9)
-    except (InvalidOperation, ValueError, OverflowError):
+    except (ArithmeticError, ValueError):
         try:
             when = datetime.fromisoformat(text)
         except ValueError:

@@ -27,7 +27,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack
 
-from terrafuse.errors import CodecError, InputError
+from terrafuse.errors import CodecError, InputError, TerrafuseError
 from terrafuse.exchange.asking import Answerer, Question
 from terrafuse.exchange.bringing import Bringer
 from terrafuse.exchange.budget import Budget
@@ -180,6 +180,10 @@ class Courier:
         known = self._peers.get(peer)
         return known is not None and any(not post.arrived for post in known.posts.values())
 
+    def receiving(self, peer: str) -> bool:
+        """Whether a message that this peer posts has arrived in part."""
+        return self._reassembler.receiving(peer, f"post/{self.node}/")
+
     def behind(self, peer: str) -> dict[str, dict[str, int]]:
         """By channel, then by robot, how many tiles a peer lacks something of that this node would send it.
 
@@ -277,8 +281,18 @@ class Courier:
         return None
 
     def _deliver(self, sender: str, id_: bytes, message: bytes) -> None:
-        """Who posted it is told, unless it may count yet: its clock may have been set back."""
-        if self._posts.deliver(self._peer(sender), sender, message):
+        """Who posted it is told, unless it may count yet: its clock may have been set back.
+
+        It may say anything: what nobody thought of is counted like other nonsense, and does not come again.
+        """
+        try:
+            counts = self._posts.deliver(self._peer(sender), sender, message)
+        except TerrafuseError:
+            raise
+        except Exception as error:
+            self.counts[f"refused.{type(error).__name__}"] += 1
+            counts = True
+        if counts:
             self._posts.acknowledge(id_)
         else:
             self._reassembler.forget(sender, id_)

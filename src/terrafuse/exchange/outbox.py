@@ -19,7 +19,8 @@ POST, SUMMARY, REPLY = "post", "summary", "reply"
 USUAL_TOPIC = "delta/fine/robot/station"
 """By its length, frames are made as long as the budget likes them."""
 FAIR = 8
-"""Of so many frames one is of the last lane that has any, so that the first ones starve none."""
+"""Of so many frames one is of the last lane that has any, so that the first ones starve none: a post of 64 KiB no
+summary, by which others know that the node is there, and the coarse map not the fine one."""
 
 
 @dataclass(eq=False)
@@ -50,6 +51,20 @@ class Lane:
         return bool(self.waiting) or (self.refill() and bool(self.waiting))
 
 
+@dataclass
+class Group:
+    """Lanes of which the first has precedence, and the last its share."""
+
+    lanes: list[Lane]
+    taken: int = 0
+
+    def next(self) -> Lane | None:
+        order = self.lanes if (self.taken + 1) % FAIR else self.lanes[::-1]
+        lane = next((lane for lane in order if lane.filled()), None)
+        self.taken += lane is not None
+        return lane
+
+
 class Outbox:
     """Sends by `link`; counts messages, frames and bytes by kind in `counts`."""
 
@@ -58,10 +73,8 @@ class Outbox:
         self.max_frame_bytes = budget.frame_bytes(link.max_frame_bytes, self._overhead(USUAL_TOPIC, 0))
         self._budget = budget
         self._counts = counts
-        self._urgent = [POST, SUMMARY]
-        self._bulk = [*channels, REPLY]
-        self._lanes = {name: Lane() for name in (*self._urgent, *self._bulk)}
-        self._sent = 0
+        self._lanes = {name: Lane() for name in (POST, SUMMARY, *channels, REPLY)}
+        self._groups = [self._group(POST, SUMMARY), self._group(*channels, REPLY)]
 
     def fill(self, lane: str, refill: Callable[[], bool]) -> None:
         """Have this called whenever the lane is empty and something may leave."""
@@ -85,12 +98,10 @@ class Outbox:
             self._send(*lane.waiting.popleft(), now_ns)
 
     def _next(self) -> Lane | None:
-        for name in self._urgent:
-            if self._lanes[name].filled():
-                return self._lanes[name]
-        self._sent += 1
-        order = self._bulk if self._sent % FAIR else reversed(self._bulk)
-        return next((self._lanes[name] for name in order if self._lanes[name].filled()), None)
+        return next((lane for group in self._groups if (lane := group.next()) is not None), None)
+
+    def _group(self, *names: str) -> Group:
+        return Group([self._lanes[name] for name in names])
 
     def _send(self, message: Outgoing, part: int, now_ns: int) -> None:
         frame = message.frames[part]

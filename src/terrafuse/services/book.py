@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from terrafuse.errors import CodecError, InputError, StoreMismatch
+from terrafuse.errors import CodecError, InputError, OutputError, StoreMismatch
 from terrafuse.exchange.corrections import (
     Correction,
     Corrections,
@@ -107,10 +107,15 @@ class Book:
 
 
 def replace_file(file: Path, content: bytes) -> None:
-    """Either the old content or the new one is there, whenever the power goes."""
+    """Either the old content or the new one is there, whenever the power goes. Raises OutputError where there is no
+    room for it."""
     partial = file.with_name(f".{file.name}.partial")
-    with partial.open("wb") as opened:
-        opened.write(content)
-        opened.flush()
-        os.fsync(opened.fileno())
-    partial.replace(file)
+    try:
+        with partial.open("wb") as opened:
+            opened.write(content)
+            opened.flush()
+            os.fsync(opened.fileno())
+        partial.replace(file)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise OutputError(f"{file}: can't be written ({error.strerror}); free some space, and say it again") from error

@@ -64,7 +64,7 @@ def unpack(payload: bytes, kind: type[Any], most_bytes: int = MOST_BYTES) -> Any
         if not 0 <= zstandard.frame_content_size(payload) <= most_bytes:
             raise ValueError(f"no {kind.__name__}: too large")
         return DECODERS[kind].decode(zstandard.ZstdDecompressor().decompress(payload))
-    except (zstandard.ZstdError, ValueError) as error:
+    except (zstandard.ZstdError, ValueError, RecursionError) as error:
         raise ValueError(f"no {kind.__name__}: {error}") from error
 
 

@@ -33,6 +33,8 @@ TICK_S, LONGEST_TICK_S, LEAST_WAIT_S, FOLD_S = 0.02, 0.06, 0.001, 1.0
 BUSY = 3.0
 """Times what a tick took, the next one waits, but only until `LONGEST_TICK_S` after this one began: what comes until
 then is made to last all at once. After one that took longer than that, enough waits."""
+AHEAD_S = 60.0
+"""By how much the clock of who gives a correction may be ahead."""
 REFUSED_S = 5.0
 """How long a robot that refused another waits for that to have heard it, before it ends itself."""
 EXCHANGE, MAP_MANAGER = "exchange", "map-manager"
@@ -250,7 +252,7 @@ class Exchange(Service):
         robot = self._link.node
         try:
             fresh = self._book.add(robot, corrections)
-        except InputError:
+        except TerrafuseError:
             self.counts["refused.correction"] += 1
             return
         if fresh:
@@ -266,7 +268,9 @@ class Exchange(Service):
             order = decode_order(message.payload)
             if self._book is None or self._told is not None or not self._may_correct(message.sender, order.robot):
                 raise InputError(f"'{message.sender}' may not correct the poses of '{order.robot}' here")
-            if self._book.add(order.robot, decode_corrections(order.corrections)):
+            corrections = decode_corrections(order.corrections)
+            self._check_issued(order.robot, corrections)
+            if self._book.add(order.robot, corrections):
                 self.counts["corrections_taken"] += 1
                 self._post_corrections(order.robot)
             done = Done(order.number, order.robot, "", len(self._book.of(order.robot)))
@@ -275,6 +279,20 @@ class Exchange(Service):
             done = Done(0 if order is None else order.number, "" if order is None else order.robot, str(error), 0)
         reply = Message(contract_of(MAP_MANAGER).id, "corrected", encode_order(done))
         self._write(Letter(message.sender, "operator", reply))
+
+    def _check_issued(self, robot: str, corrections: Sequence[Correction]) -> None:
+        """Of two of one id the one that was issued later counts: by a clock that is ahead, it would do so for long."""
+        assert self._book is not None
+        held = {one.id: one.issued_ns for one in self._book.of(robot)}
+        for one in corrections:
+            ahead_s = (one.issued_ns - self._now_ns) / SECOND_NS
+            if ahead_s > AHEAD_S:
+                raise InputError(f"correction '{one.id}' is of {ahead_s:.0f} s from now: set the clock of who gave it")
+            if one.issued_ns < held.get(one.id, 0):
+                raise InputError(
+                    f"correction '{one.id}' was given before the one of this name that holds: set the clock of who "
+                    "gave it, or choose another --id"
+                )
 
     def _post_corrections(self, robot: str) -> None:
         assert self._book is not None
@@ -323,7 +341,7 @@ class Exchange(Service):
         """Two reports without anything lacking: by then whatever the mapping left was told."""
         lacks = any(self._courier.behind(station) for station in self.stations)
         reached = {*self._courier.reached(now_ns), *self._level_heard} >= set(self.stations)
-        if lacks or not reached or not told.handover.committed.is_set() or told.handover.coarse:
+        if lacks or not reached or self._is_expecting() or not told.handover.committed.is_set() or told.handover.coarse:
             self._quiet_ns = None
         elif self._quiet_ns is None:
             self._quiet_ns = now_ns
@@ -331,6 +349,13 @@ class Exchange(Service):
             patience_ns = 2 * self._courier.settings.period_s * SECOND_NS
             if now_ns - self._quiet_ns >= patience_ns:
                 self.done = self.done or not told.among_robots or self._is_level_with_robots(now_ns)
+
+    def _is_expecting(self) -> bool:
+        """Whether a station may have something for this robot yet: corrections come before its welcome."""
+        if self._told is None or self._told.among_robots:
+            return False
+        welcome = {station for station, kind in self._said if kind == "welcome"}
+        return welcome < set(self.stations) or any(map(self._courier.receiving, self.stations))
 
     def _is_level_with_robots(self, now_ns: int) -> bool:
         """Each tells the others that it has nothing more to come, and leaves when all did and its own word arrived, or
@@ -351,7 +376,7 @@ class Exchange(Service):
             factor = theirs.get("global_factor", self._about.global_factor)  # older ones do not say
             if not (isinstance(settings, dict) and isinstance(factor, int)):
                 raise TypeError("settings or a factor of another kind")
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, RecursionError):
             self.counts["refused.join"] += 1
             return
         ours = self._about.as_json()
@@ -371,12 +396,13 @@ class Exchange(Service):
         elif settings != ours["settings"]:
             other = sorted(key for key in ours["settings"] if settings.get(key) != ours["settings"][key])
             words = f"the model's settings differ from the station's: {', '.join(other)}"
-        reply = Message(contract_of(EXCHANGE).id, kind, words.encode())
+        # The corrections come first: a robot leaves when it is welcome, and nothing of a message is on its way to it.
+        if self._told is None and self._book is not None and message.sender in self._book.all:
+            self._post_corrections(message.sender)  # it may have been away for so long that it was forgotten
+        reply = Message(contract_of(EXCHANGE).id, kind, words.encode(errors="replace"))
         self._write(Letter(message.sender, EXCHANGE, reply))
         if kind == "refuse" and self._told is not None and message.sender in self.stations:
             self._refused.setdefault(message.sender, (self._now_ns, words))
-        if self._told is None and self._book is not None and message.sender in self._book.all:
-            self._post_corrections(message.sender)  # it may have been away for so long that it was forgotten
 
 
 def contract_of(name: str) -> Contract:

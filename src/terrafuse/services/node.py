@@ -192,7 +192,7 @@ def _robot(settings: FleetSettings, name: str, carrier: Carrier, files: ExitStac
     sensors = {} if part.sensor is None else {name: part.sensor}
     run = plan({name: source_text(part.source, name)}, settings.map.model_copy(update={"sensors": sensors}))
     files.enter_context(alone(Path(part.store)))
-    archive = files.enter_context(open_partial(Path(part.store), run))
+    archive = files.enter_context(open_partial(Path(part.store), run, afresh="choose another --store"))
     keep_to(part.precision, Path(part.store), archive)
     project = projection(part.precision, run.model)
     factor = settings.map.global_factor

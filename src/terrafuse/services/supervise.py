@@ -146,7 +146,18 @@ class Supervised:
                 self._counts["refused.kind"] += 1
             else:
                 self._counts[f"taken.{message.kind}"] += 1
-                service.post(message)
+                self._post(service, message)
+
+    def _post(self, service: Service, message: Message) -> None:
+        """What another node says may be anything: one message of it never has a service started again."""
+        try:
+            service.post(message)
+        except TerrafuseError:
+            raise
+        except Exception as error:
+            if not message.sender:
+                raise
+            self._counts[f"refused.{type(error).__name__}"] += 1
 
     def _fail(self, error: Exception, now_ns: int) -> None:
         self._failures += 1

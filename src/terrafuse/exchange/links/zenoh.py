@@ -383,7 +383,7 @@ class ZenohLink:
         return "; ".join(diagnosis(each, self._identity) for each in self._connects)
 
     def _say(self, trouble: str) -> None:
-        if trouble != self.trouble:
+        if trouble != self.trouble and not self._closing.is_set():
             self.trouble = trouble
             self._tell(f"{trouble}; trying again until it works")
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 import msgspec
 
-from terrafuse.errors import CodecError, InputError, OutputError, StoreMismatch
+from terrafuse.errors import CodecError, InputError, OutputError, StoreMismatch, TerrafuseError
 from terrafuse.exchange.corrections import (
     Correction,
     Corrections,
@@ -20,6 +20,8 @@ from terrafuse.exchange.corrections import (
 from terrafuse.exchange.delta import is_robot_name
 
 MOST_ROBOTS = 4096
+AHEAD_S = 60.0
+"""By how much the clock of who gives a correction may be ahead."""
 
 
 class Order(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
@@ -104,6 +106,38 @@ class Book:
         )
         self._held = held
         return True
+
+
+def ordered(
+    book: Book | None, sender: str, payload: bytes, may_correct: Callable[[str, str], bool], now_ns: int
+) -> tuple[Done, bool]:
+    """What a station answers to an order of this sender, and whether it changed what holds. No book: it takes none."""
+    order: Order | None = None
+    try:
+        order = decode_order(payload)
+        if book is None or not may_correct(sender, order.robot):
+            raise InputError(f"'{sender}' may not correct the poses of '{order.robot}' here")
+        corrections = decode_corrections(order.corrections)
+        _check_issued(book.of(order.robot), corrections, now_ns)
+        fresh = book.add(order.robot, corrections)
+        return Done(order.number, order.robot, "", len(book.of(order.robot))), fresh
+    except TerrafuseError as error:
+        number, robot = (0, "") if order is None else (order.number, order.robot)
+        return Done(number, robot, str(error), 0), False
+
+
+def _check_issued(held: Corrections, corrections: Corrections, now_ns: int) -> None:
+    """Of two of one id the one that was issued later counts: by a clock that is ahead, it would do so for long."""
+    before = {one.id: one.issued_ns for one in held}
+    for one in corrections:
+        ahead_s = (one.issued_ns - now_ns) / 1e9
+        if ahead_s > AHEAD_S:
+            raise InputError(f"correction '{one.id}' is of {ahead_s:.0f} s from now: set the clock of who gave it")
+        if one.issued_ns < before.get(one.id, 0):
+            raise InputError(
+                f"correction '{one.id}' was given before the one of this name that holds: set the clock of who gave "
+                "it, or choose another --id"
+            )
 
 
 def replace_file(file: Path, content: bytes) -> None:

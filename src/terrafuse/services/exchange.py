@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from terrafuse.errors import InputError, TerrafuseError
-from terrafuse.exchange.corrections import CORRECTION, Correction, decode_corrections, encode_corrections
+from terrafuse.exchange.corrections import CORRECTION, Correction, encode_corrections
 from terrafuse.exchange.courier import Channel, Courier, CourierSettings
 from terrafuse.exchange.delta import map_id
 from terrafuse.exchange.links import Link
 from terrafuse.lattice import Lattice
 from terrafuse.models.base import Model
 from terrafuse.services.answers import Answers
-from terrafuse.services.book import Book, Done, Order, decode_order, encode_order
+from terrafuse.services.book import Book, encode_order, ordered
 from terrafuse.services.mapping import MAPPING
 from terrafuse.services.places import PLACE, PLACE_S, STILL_S, TRACK, TRACK_S, Place, Track, encode
 from terrafuse.services.places import Told as Way
@@ -33,8 +33,6 @@ TICK_S, LONGEST_TICK_S, LEAST_WAIT_S, FOLD_S = 0.02, 0.06, 0.001, 1.0
 BUSY = 3.0
 """Times what a tick took, the next one waits, but only until `LONGEST_TICK_S` after this one began: what comes until
 then is made to last all at once. After one that took longer than that, enough waits."""
-AHEAD_S = 60.0
-"""By how much the clock of who gives a correction may be ahead."""
 REFUSED_S = 5.0
 """How long a robot that refused another waits for that to have heard it, before it ends itself."""
 EXCHANGE, MAP_MANAGER = "exchange", "map-manager"
@@ -263,36 +261,15 @@ class Exchange(Service):
 
     def _take_corrections(self, message: Message) -> None:
         """Of a robot's poses, to be passed on to it; whoever gave them is told what came of it."""
-        order: Order | None = None
-        try:
-            order = decode_order(message.payload)
-            if self._book is None or self._told is not None or not self._may_correct(message.sender, order.robot):
-                raise InputError(f"'{message.sender}' may not correct the poses of '{order.robot}' here")
-            corrections = decode_corrections(order.corrections)
-            self._check_issued(order.robot, corrections)
-            if self._book.add(order.robot, corrections):
-                self.counts["corrections_taken"] += 1
-                self._post_corrections(order.robot)
-            done = Done(order.number, order.robot, "", len(self._book.of(order.robot)))
-        except TerrafuseError as error:
+        book = self._book if self._told is None else None
+        done, fresh = ordered(book, message.sender, message.payload, self._may_correct, self._now_ns)
+        if done.reason:
             self.counts["refused.correction"] += 1
-            done = Done(0 if order is None else order.number, "" if order is None else order.robot, str(error), 0)
+        elif fresh:
+            self.counts["corrections_taken"] += 1
+            self._post_corrections(done.robot)
         reply = Message(contract_of(MAP_MANAGER).id, "corrected", encode_order(done))
         self._write(Letter(message.sender, "operator", reply))
-
-    def _check_issued(self, robot: str, corrections: Sequence[Correction]) -> None:
-        """Of two of one id the one that was issued later counts: by a clock that is ahead, it would do so for long."""
-        assert self._book is not None
-        held = {one.id: one.issued_ns for one in self._book.of(robot)}
-        for one in corrections:
-            ahead_s = (one.issued_ns - self._now_ns) / SECOND_NS
-            if ahead_s > AHEAD_S:
-                raise InputError(f"correction '{one.id}' is of {ahead_s:.0f} s from now: set the clock of who gave it")
-            if one.issued_ns < held.get(one.id, 0):
-                raise InputError(
-                    f"correction '{one.id}' was given before the one of this name that holds: set the clock of who "
-                    "gave it, or choose another --id"
-                )
 
     def _post_corrections(self, robot: str) -> None:
         assert self._book is not None

@@ -234,15 +234,16 @@ AFRESH = "start afresh with --overwrite, or choose another --out"
 def open_partial(path: Path, run: Plan, overwrite: bool = False, afresh: str = AFRESH) -> SqliteStore:
     """The store of this run: new, or that of the same run cut short.
 
-    Raises StoreMismatch for another's, unless it may be overwritten; `afresh` is how to begin anew.
+    Raises StoreMismatch for another's, unless it may be overwritten or is empty; `afresh` is how to begin anew.
     """
     if not path.exists():
         return SqliteStore.create(path, run.lattice, run.model, {"run": run.fingerprint})
     store = SqliteStore.open(path)
     held = store.notes().get("run")
     if held != run.fingerprint:
+        empty = not store.robots()
         store.close()
-        if overwrite:
+        if overwrite or empty:
             remove_store(path)
             return open_partial(path, run)
         raise StoreMismatch(

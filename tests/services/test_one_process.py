@@ -211,3 +211,18 @@ def test_a_station_takes_no_ones_report_of_another(logs: dict[str, Path], tmp_pa
         node.close()
     with SqliteStore.open(tmp_path / "station.db") as store:
         assert store.robots() == []
+
+
+def test_a_store_that_holds_nothing_takes_other_settings(logs: dict[str, Path], tmp_path: Path) -> None:
+    """Who mistyped the first time can type again; what holds a map is not touched."""
+    first = settings_of({"r1": logs["r1"]}, tmp_path, resolution_m=0.5)
+    for node in nodes_of(first):
+        node.close()
+    second = settings_of({"r1": logs["r1"]}, tmp_path)
+    nodes = nodes_of(second)
+    finished(nodes)
+    held = digest(tmp_path / "station.db")
+    for name, why in (("station", "choose another store"), ("r1", "choose another --store")):
+        with pytest.raises(StoreMismatch, match=why):
+            make_node(first, name, carrier(first, lambda text: None))
+    assert digest(tmp_path / "station.db") == held

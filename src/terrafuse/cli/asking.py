@@ -57,7 +57,11 @@ def _finite(value: Any) -> Any:
 
 def entry_json(entry: Entry) -> dict[str, Any]:
     services = [status_json(status) for status in entry.services]
-    return {"node": entry.node, "age_s": round(entry.age_s, 1), "lost": entry.lost, "services": services}
+    left = entry.lost and _gone(entry) == "left"
+    return {
+        "node": entry.node, "age_s": round(entry.age_s, 1), "lost": entry.lost and not left, "left": left,
+        "services": services,
+    }  # fmt: skip
 
 
 def watch(asking: Any) -> None:

@@ -83,7 +83,8 @@ def progress(node: Node) -> str:
     if node.ends_with is None:
         fine = states["map-manager"].get("channels", {}).get("fine", {})
         reached = states["map-manager"].get("peers", [])
-        return f"{len(fine)} robots' maps held, {len(reached)} nodes in reach"
+        maps, nodes = "robot's map" if len(fine) == 1 else "robots' maps", "node" if len(reached) == 1 else "nodes"
+        return f"{len(fine)} {maps} held, {len(reached)} {nodes} in reach"
     source, mapping, exchange = states["source"], states["mapping"], states["exchange"]
     of = "" if source.get("records") is None else f" of {source['records']}"
     again = mapping.get("rebuilding")

@@ -180,8 +180,8 @@ class Courier:
         known = self._peers.get(peer)
         return known is not None and any(not post.arrived for post in known.posts.values())
 
-    def receiving(self, peer: str) -> bool:
-        """Whether a message that this peer posts has arrived in part."""
+    def receiving(self, peer: str) -> int:
+        """How many frames have arrived of what this peer posts and did not arrive whole."""
         return self._reassembler.receiving(peer, f"post/{self.node}/")
 
     def behind(self, peer: str) -> dict[str, dict[str, int]]:

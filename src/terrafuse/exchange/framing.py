@@ -136,10 +136,10 @@ class Reassembler:
         unfinished = (pair for own in self._senders.values() for pair in own.unfinished.items())
         return {id_: gaps(one.held, one.parts) for id_, one in unfinished}
 
-    def receiving(self, sender: str, prefix: str) -> bool:
-        """Whether there are parts of a message of this sender whose topic begins so."""
-        own = self._senders.get(sender)
-        return own is not None and any(one.topic.startswith(prefix) for one in own.unfinished.values())
+    def receiving(self, sender: str, prefix: str) -> int:
+        """Parts that are there of this sender's unfinished messages whose topic begins so."""
+        unfinished = self._senders[sender].unfinished.values() if sender in self._senders else ()
+        return sum(len(one.held) for one in unfinished if one.topic.startswith(prefix))
 
     def finished(self, sender: str, id_: bytes) -> bool:
         """Whether this message, of several parts, was completed lately."""

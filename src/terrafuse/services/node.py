@@ -36,7 +36,7 @@ from terrafuse.services.source import Source
 from terrafuse.services.supervise import Orchestration, Restarts, Spec, Supervisor
 from terrafuse.store.base import Store
 from terrafuse.store.memory import MemoryStore
-from terrafuse.store.sqlite import SqliteStore
+from terrafuse.store.sqlite import SqliteStore, remove_store
 from terrafuse.types import Bounds
 
 ALWAYS = Restarts(most=None)
@@ -295,14 +295,18 @@ def _pace(bytes_per_s: float | None) -> CourierSettings:
 
 
 def open_map(path: Path, settings: FleetSettings) -> SqliteStore:
-    """The station's store: new, or the one that is there, which must be of the map that the settings say."""
+    """The station's store: new, or the one that is there, which must be of the map that the settings say, if it holds
+    anything."""
     lattice, model = _map_of(settings)
     if not path.exists():
         return SqliteStore.create(path, lattice, model)
     store = SqliteStore.open(path)
     if (store.map.model, store.map.lattice, store.model.settings()) != (model.name, lattice, model.settings()):
-        held = store.map
+        held, empty = store.map, not store.robots()
         store.close()
+        if empty:
+            remove_store(path)
+            return open_map(path, settings)
         raise StoreMismatch(
             f"{path}: holds a map of {held.model}, cells of {held.resolution_m:g} m, tiles of {held.tile_m:g} m, "
             f"{held.crs or 'a local frame'}, or with other settings; ask for the same, or choose another store"
@@ -349,6 +353,10 @@ def _opened(path: Path, lattice: Lattice, model: Model) -> SqliteStore:
         return SqliteStore.create(path, lattice, model)
     store = SqliteStore.open(path)
     if store.map != map_id(model.name, lattice):
+        empty = not store.robots()
         store.close()
+        if empty:
+            remove_store(path)
+            return _opened(path, lattice, model)
         raise StoreMismatch(f"{path}: is of another map than asked for; delete it, what it held comes back from others")
     return store

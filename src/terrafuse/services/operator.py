@@ -71,7 +71,7 @@ class Operator:
         Raises InputError with the station's reason for what it refuses, TerrafuseError where nothing comes for so long.
         """
         waiting, asked, found = deque(enumerate(questions)), dict[int, tuple[int, Question]](), dict[int, bytes]()
-        deadline, told = time.monotonic() + patience_s, 0
+        deadline, told, coming = time.monotonic() + patience_s, 0, 0
         while told < len(questions):
             while waiting and len(asked) < AT_A_TIME:
                 at, question = waiting.popleft()
@@ -91,6 +91,8 @@ class Operator:
             while told in found:
                 yield found.pop(told)
                 told += 1
+            if (parts := self._courier.receiving(self._station)) != coming:
+                coming, deadline = parts, time.monotonic() + patience_s
             if time.monotonic() > deadline:
                 raise self._silent()
             self._pause(TICK_S)

@@ -21,7 +21,7 @@ from terrafuse.replica import Replica
 from terrafuse.testing.deltas import random_scans
 from terrafuse.testing.relay import Mishaps, Relay
 from tests.exchange.fleet import LATTICE, MODEL
-from tests.exchange.zenoh_nodes import LOOPBACK, SWIFT, TICK_S, Process, free_port, station, until
+from tests.exchange.zenoh_nodes import LOOPBACK, PATIENCE_S, SWIFT, TICK_S, Process, free_port, station, until
 
 
 def plain(**settings: object) -> Transport:
@@ -105,7 +105,9 @@ def test_damaged_connections_lose_nothing(here: str) -> None:
             robot.courier.tick(time.monotonic_ns())
             time.sleep(TICK_S)
         relay.mishaps = Mishaps()
-        until(robot.ticking(partial(robot.is_level, process)), "r1's map")
+        until(
+            robot.ticking(partial(robot.is_level, process)), "r1's map", 3 * PATIENCE_S
+        )  # broken ones are let go late
         assert process.ask("digest") == robot.digest()
         assert relay.counts["corrupted"] > 0
         robot.link.close()

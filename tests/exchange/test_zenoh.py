@@ -190,6 +190,20 @@ def test_an_inbox_that_nobody_empties_is_bounded(here: str) -> None:
         link.close()
 
 
+def test_a_session_that_hears_nothing_is_made_anew(here: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By who connects and asks in vain; not by who listens, nor by who does not ask."""
+    monkeypatch.setattr(links_zenoh, "DEAF_S", 1.0)
+    station, robot, idle = (ZenohLink(name, plain(**{way: here})) for name, way in
+                            (("station", "listen"), ("r1", "connect"), ("r2", "connect")))  # fmt: skip
+    for link in (station, robot, idle):
+        link.listen("x")
+    until(lambda: (received(robot), received(station), robot.counts["renewed"])[-1] > 0, "a new session")
+    until(lambda: reaches(station, robot), "that it hears")
+    assert (station.counts["renewed"], idle.counts["renewed"]) == (0, 0)
+    for link in (station, robot, idle):
+        link.close()
+
+
 def test_one_hung_robot_keeps_neither_others_nor_the_end_waiting(here: str) -> None:
     """What is sent past it arrives elsewhere; a station that leaves does so, and another listens in its place."""
     station = ZenohLink("station", plain(listen=here))

@@ -50,6 +50,9 @@ SHORT_BREAK_S = 5.0
 """A lost connection is spoken of when it has not come back by then."""
 LISTEN_S = 1.0
 """How long `listen` waits to be heeded, at most."""
+DEAF_S = 20.0
+"""Nodes say something each second or two. Is one there of which nothing comes for so long, the session was damaged on
+its way: Zenoh checks no sums, and a declaration that was not understood is never made again."""
 STUCK_S = 60.0
 """Whoever sends, connects, or is given up, takes less; a call that lasts longer never ends."""
 ZENOH_BYTES, TLS_BYTES, TCP_BYTES, SEGMENT_BYTES = 28, 22, 52, 1500
@@ -98,6 +101,8 @@ class ZenohLink:
         self._links: dict[str, bool] = {}
         """Who is on the other side of each connection, and whether that is a router."""
         self._linked_s = time.monotonic()
+        self._quiet_s: float | None = None
+        """Since when nothing came to who asked for it."""
         """When there was last a connection more or less."""
         self._met = threading.Event()
         self._refused: TerrafuseError | None = None
@@ -161,6 +166,7 @@ class ZenohLink:
         self._check_stuck()
         inlets = () if self._closing.is_set() else self._inlets
         frames = [frame for inlet in inlets for frame in self._taken(inlet)]
+        self._quiet_s = None if frames else self._quiet_s or time.monotonic()
         self.counts["frames_received"] += len(frames)
         self.counts["bytes_received"] += sum(len(frame.payload) for frame in frames)
         return frames
@@ -332,7 +338,10 @@ class ZenohLink:
             self._check_name()
         if self._identity is not None and self._identity.changed():
             self._renew()
-        if self._shut_out():
+        if self._deaf():
+            self.counts["renewed"] += 1
+            self._end_session()
+        elif self._shut_out():
             self._say(
                 f"connected, but nobody lets '{self.node}' hear or say anything: it was revoked, or the station does "
                 "not know it yet; bring the fleet's fleet.json to the folder of the station's keys"
@@ -341,6 +350,11 @@ class ZenohLink:
             self._well()
         elif self.trouble is None and time.monotonic() - self._linked_s > NO_WORD_S:
             self._say(self._diagnosis())
+
+    def _deaf(self) -> bool:
+        """Only who connects ends its session for that: those who listen have others' connections."""
+        quiet = self._quiet_s is not None and time.monotonic() - max(self._quiet_s, self._linked_s) > DEAF_S
+        return quiet and not self._listens and not self._alone and self._presence.accompanied
 
     def _shut_out(self) -> bool:
         """Whether there is a connection, for long enough, and still no sign even of who is at its other end. Of who

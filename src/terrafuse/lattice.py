@@ -95,17 +95,15 @@ class Lattice:
         """(i0, j0, i1, j1), half open, of the cells that overlap the bounds; edges on a cell border add no cell."""
         if not all(map(math.isfinite, bounds)):
             raise LatticeError(f"bounds {tuple(bounds)} are not finite; give west,south,east,north in metres")
-        if max(map(abs, bounds)) * self.cells_per_m > MAX_CELL + 1:
-            raise LatticeError(f"bounds {tuple(bounds)} reach beyond the lattice of {self.resolution_m} m cells")
         slack = 1e-6
+        if max(map(abs, bounds)) * self.cells_per_m > MAX_CELL + slack:
+            raise LatticeError(f"bounds {tuple(bounds)} reach beyond the lattice of {self.resolution_m} m cells")
         i0 = math.floor(bounds.west * self.cells_per_m + slack)
         j0 = math.floor(bounds.south * self.cells_per_m + slack)
         i1 = math.ceil(bounds.east * self.cells_per_m - slack)
         j1 = math.ceil(bounds.north * self.cells_per_m - slack)
         if i1 <= i0 or j1 <= j0:
             raise LatticeError(f"bounds {tuple(bounds)} hold no cell; give west,south,east,north in metres")
-        if max(-i0, -j0, i1, j1) > MAX_CELL:
-            raise LatticeError(f"bounds {tuple(bounds)} reach beyond the lattice of {self.resolution_m} m cells")
         return i0, j0, i1, j1
 
     def coarser(self, factor: int) -> Lattice:

@@ -36,7 +36,7 @@ from terrafuse.prior import ROBOT, Prior, check_model, open_prior
 from terrafuse.sense import Sensor, applied, check_aim, load_sensor, undescribed
 from terrafuse.sense.describe import content
 from terrafuse.store.behind import WriteBehind
-from terrafuse.store.sqlite import SqliteStore, remove_store
+from terrafuse.store.sqlite import SqliteStore, remove_store, removed_if_empty
 from terrafuse.types import Scan
 from terrafuse.window import make_window
 
@@ -241,9 +241,9 @@ def open_partial(path: Path, run: Plan, overwrite: bool = False, afresh: str = A
     store = SqliteStore.open(path)
     held = store.notes().get("run")
     if held != run.fingerprint:
-        empty = not store.robots()
-        store.close()
-        if overwrite or empty:
+        if removed_if_empty(store):
+            return open_partial(path, run)
+        if overwrite:
             remove_store(path)
             return open_partial(path, run)
         raise StoreMismatch(

@@ -10,12 +10,10 @@ from terrafuse.errors import StoreMismatch
 from terrafuse.exchange.links import MemoryHub
 from terrafuse.services.lock import alone
 from terrafuse.services.node import make_node
-from terrafuse.store.sqlite import SqliteStore
-from terrafuse.testing.deltas import deltas_of, random_scans
 from tests.program import terrafuse
 from tests.services.drives import drive
 from tests.services.processes import Processes, answers, cells_in, free_port
-from tests.services.test_one_process import settings_of
+from tests.services.test_one_process import hold_something, settings_of
 
 TAKEN = r"station.db: another station or robot \(process \d+\) runs on this store; stop that, or give"
 
@@ -54,9 +52,7 @@ def test_nodes_hold_their_stores_until_they_are_closed(tmp_path: Path) -> None:
             make_node(settings, name, carry)
         node.close()
         make_node(settings, name, carry).close()
-    with SqliteStore.open(tmp_path / "station.db") as store:
-        (delta,) = deltas_of("r1", random_scans(1, 1), store.map.lattice, store.model)
-        store.accept(delta)
+    hold_something(tmp_path / "station.db")
     coarser = settings.model_copy(update={"map": settings.map.model_copy(update={"resolution_m": 0.4})})
     with pytest.raises(StoreMismatch, match="ask for the same"):
         make_node(coarser, "station", carry)

@@ -51,6 +51,13 @@ def finished(nodes: list[Node], seconds: float = 60.0) -> None:
         timer.cancel()
 
 
+def hold_something(store: Path) -> None:
+    """Into a store that is there, a report."""
+    with SqliteStore.open(store) as opened:
+        (delta,) = deltas_of("r1", random_scans(1, 1), opened.map.lattice, opened.model)
+        assert opened.accept(delta)
+
+
 def digest(store: Path, factor: int = 1) -> str:
     with SqliteStore.open(store) as opened:
         return Replica(store=opened, factor=factor).digest()
@@ -172,6 +179,7 @@ def test_a_station_keeps_to_its_map(logs: dict[str, Path], tmp_path: Path) -> No
     nodes = [make_node(settings_of({}, tmp_path), "station", carrier(settings_of({}, tmp_path), print))]
     for node in nodes:
         node.close()
+    hold_something(tmp_path / "station.db")
     other = settings_of({}, tmp_path, resolution_m=0.4)
     with pytest.raises(StoreMismatch, match=r"station\.db: holds a map of elevation, cells of 0\.2 m"):
         make_node(other, "station", carrier(other, print))
@@ -186,6 +194,7 @@ def test_a_log_without_a_scan_is_an_error(tmp_path: Path, logs: dict[str, Path])
 def test_a_station_keeps_to_its_coarse_map(tmp_path: Path) -> None:
     before, after = (settings_of({}, tmp_path, global_factor=factor) for factor in (5, 10))
     make_node(before, "station", carrier(before, print)).close()
+    hold_something(tmp_path / "station.coarse.db")
     with pytest.raises(StoreMismatch, match=r"station\.coarse\.db: is of another map than asked for; delete it"):
         make_node(after, "station", carrier(after, print))
 

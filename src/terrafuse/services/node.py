@@ -36,7 +36,7 @@ from terrafuse.services.source import Source
 from terrafuse.services.supervise import Orchestration, Restarts, Spec, Supervisor
 from terrafuse.store.base import Store
 from terrafuse.store.memory import MemoryStore
-from terrafuse.store.sqlite import SqliteStore, remove_store
+from terrafuse.store.sqlite import SqliteStore, removed_if_empty
 from terrafuse.types import Bounds
 
 ALWAYS = Restarts(most=None)
@@ -302,10 +302,8 @@ def open_map(path: Path, settings: FleetSettings) -> SqliteStore:
         return SqliteStore.create(path, lattice, model)
     store = SqliteStore.open(path)
     if (store.map.model, store.map.lattice, store.model.settings()) != (model.name, lattice, model.settings()):
-        held, empty = store.map, not store.robots()
-        store.close()
-        if empty:
-            remove_store(path)
+        held = store.map
+        if removed_if_empty(store):
             return open_map(path, settings)
         raise StoreMismatch(
             f"{path}: holds a map of {held.model}, cells of {held.resolution_m:g} m, tiles of {held.tile_m:g} m, "
@@ -353,10 +351,7 @@ def _opened(path: Path, lattice: Lattice, model: Model) -> SqliteStore:
         return SqliteStore.create(path, lattice, model)
     store = SqliteStore.open(path)
     if store.map != map_id(model.name, lattice):
-        empty = not store.robots()
-        store.close()
-        if empty:
-            remove_store(path)
+        if removed_if_empty(store):
             return _opened(path, lattice, model)
         raise StoreMismatch(f"{path}: is of another map than asked for; delete it, what it held comes back from others")
     return store

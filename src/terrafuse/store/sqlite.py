@@ -472,6 +472,15 @@ def remove_store(path: Path) -> None:
         Path(f"{path}{suffix}").unlink(missing_ok=True)
 
 
+def removed_if_empty(store: SqliteStore) -> bool:
+    """Close a store, and delete it if it holds no report: it may be made again by other settings."""
+    empty = not store.robots()
+    store.close()
+    if empty:
+        remove_store(store.file)
+    return empty
+
+
 def _check_schema(path: Path, connection: sqlite3.Connection) -> None:
     (application,) = connection.execute("PRAGMA application_id").fetchone()
     (schema,) = connection.execute("PRAGMA user_version").fetchone()
